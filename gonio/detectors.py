@@ -1,0 +1,195 @@
+"""Detectors: what a bin of the instrument sees, and how large it is in projected solid angle.
+
+A bin averages the BRDF with the weight cosθ dω. No bin edge lies on the plane of incidence: azimuth bins are centred on
+multiples of their step, polar bins are a cap of half a step around the pole, then centred on multiples of their step,
+then half a bin at the horizon.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+
+from gonio.sphere import Vectors, angles, direction
+from microsurfaces.recipe import Positive, recipe
+
+Floats = NDArray[np.float64]
+
+DEFAULT_NODES = 8
+
+
+@recipe
+class HemisphereGrid:
+    """Bins over the whole hemisphere, rings in theta_o times sectors in dphi = phi_o - phi_i.
+
+    The grid turns with the lamp: dphi = 0 is the lamp's side, 180 the mirror's, for every incidence. Equal steps in
+    angle suit plots and tables; rings of equal projected solid angle give every bin the same share of a Lambertian
+    surface's light, and therefore even noise.
+    """
+
+    theta_step: Positive = 1.0
+    """Polar width of a bin in degrees, a whole fraction of 90; with equal projected areas, 90 / number of rings."""
+    phi_step: Positive = 1.0
+    """Azimuthal width of a bin in degrees, a whole fraction of 180."""
+    spacing: Literal["angle", "projected_area"] = "angle"
+    """Rings of equal steps in theta ("angle") or of equal projected solid angle ("projected_area")."""
+
+    @model_validator(mode="after")
+    def _steps_divide_the_circle(self) -> HemisphereGrid:
+        for name, step, whole in (("theta_step", self.theta_step, 90), ("phi_step", self.phi_step, 180)):
+            count = whole / step
+            if count < 1 or abs(count - round(count)) > 1e-9 * count:
+                raise ValueError(
+                    f"{name} = {step:g} must divide {whole} degrees into whole bins; "
+                    f"{whole / max(1, round(count)):g} would"
+                )
+        return self
+
+    @property
+    def theta_edges(self) -> Floats:
+        """Ring edges in degrees, from 0 to 90, shape (rings + 1,)."""
+        count = round(90 / self.theta_step)
+        if self.spacing == "projected_area":
+            return np.degrees(np.arcsin(np.sqrt(np.arange(count + 1) / count)))
+        inner = (np.arange(count) + 0.5) * (90 / count)
+        return np.concatenate([[0.0], inner, [90.0]])
+
+    @property
+    def theta(self) -> Floats:
+        """Ring centres in degrees: half the projected area on either side, or the middle; 0 for the polar cap."""
+        edges = self.theta_edges
+        if self.spacing == "projected_area":
+            sin2 = np.sin(np.radians(edges)) ** 2
+            return np.degrees(np.arcsin(np.sqrt((sin2[1:] + sin2[:-1]) / 2)))
+        centres = (edges[1:] + edges[:-1]) / 2
+        centres[0] = 0.0
+        return centres
+
+    @property
+    def dphi(self) -> Floats:
+        """Sector centres in degrees, 0 <= dphi < 360."""
+        count = round(360 / self.phi_step)
+        return np.arange(count) * (360 / count)
+
+    @property
+    def dphi_edges(self) -> Floats:
+        """Sector edges in degrees, from minus half a step to 360 minus half a step, shape (sectors + 1,)."""
+        count = round(360 / self.phi_step)
+        return (np.arange(count + 1) - 0.5) * (360 / count)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rings, sectors)."""
+        return len(self.theta_edges) - 1, round(360 / self.phi_step)
+
+    @property
+    def bins(self) -> int:
+        """How many bins there are."""
+        rings, sectors = self.shape
+        return rings * sectors
+
+    def projected_solid_angles(self) -> Floats:
+        """Exact ∫ cosθ dω of every bin in sr, ring after ring, shape (bins,); they sum to π."""
+        rings, sectors = self.shape
+        sin2 = np.sin(np.radians(self.theta_edges)) ** 2
+        return np.repeat(np.diff(sin2) / 2 * (2 * math.pi / sectors), sectors)
+
+    def quadrature(
+        self, wi: ArrayLike, nodes: int = DEFAULT_NODES, bins: NDArray[np.intp] | None = None
+    ) -> tuple[Vectors, Floats]:
+        """Gauss-Legendre nodes of every bin for light from `wi` (3,), `nodes` an axis.
+
+        Returns directions (bins, nodes², 3) and weights (bins, nodes²) that carry cosθ dω and sum to 1 in each bin.
+        `bins` restricts it to those bins.
+        """
+        rings, sectors = self.shape
+        ring, sector = np.divmod(np.arange(rings * sectors) if bins is None else np.asarray(bins), sectors)
+        x, w = np.polynomial.legendre.leggauss(nodes)
+        edges = self.theta_edges
+        theta = edges[ring, None] + np.diff(edges)[ring, None] * (x + 1) / 2
+        phi = self.dphi[sector, None] + (360 / sectors) * x / 2 + angles(wi)[1]
+        wo = direction(theta[:, :, None], phi[:, None, :])
+        weight = w * np.sin(np.radians(2 * theta))
+        weight = weight[:, :, None] * w / (weight.sum(axis=1)[:, None, None] * w.sum())
+        count = len(ring)
+        return wo.reshape(count, -1, 3), weight.reshape(count, -1)
+
+    def edge_at(self, theta: float) -> bool:
+        """Whether a ring edge lies on `theta` degrees, where rounding would split a mirror lobe."""
+        edges = self.theta_edges[1:-1]
+        return bool(edges.size and np.abs(edges - theta).min() < 1e-4)
+
+
+@recipe
+class Apertures:
+    """Round detector apertures at given directions, as a real instrument has.
+
+    Directions are absolute: they do not turn with the lamp. Apertures may overlap and need not cover the hemisphere; a
+    hemispherical total is kept beside them.
+    """
+
+    directions: Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
+    """(theta_o, phi_o) of each aperture's axis, degrees."""
+    half_angle: Positive = 1.0
+    """Half the angle that the aperture subtends at the sample, degrees."""
+
+    @model_validator(mode="after")
+    def _above_the_horizon(self) -> Apertures:
+        for theta, phi in self.directions:
+            if theta < 0 or theta + self.half_angle > 90:
+                raise ValueError(
+                    f"the aperture at ({theta:g}, {phi:g}) with half_angle = {self.half_angle:g} must lie wholly above "
+                    f"the horizon: 0 <= theta <= {90 - self.half_angle:g} degrees"
+                )
+        return self
+
+    @property
+    def axes(self) -> Vectors:
+        """Unit vectors of the aperture axes (bins, 3)."""
+        theta, phi = np.array(self.directions).T
+        return direction(theta, phi)
+
+    @property
+    def shape(self) -> tuple[int]:
+        """(apertures,)."""
+        return (len(self.directions),)
+
+    @property
+    def bins(self) -> int:
+        """How many apertures there are."""
+        return len(self.directions)
+
+    def projected_solid_angles(self) -> Floats:
+        """Exact ∫ cosθ dω of every aperture in sr, shape (bins,): π sin²(half angle) cosθ."""
+        return np.asarray(math.pi * math.sin(math.radians(self.half_angle)) ** 2 * self.axes[:, 2])
+
+    def quadrature(
+        self, wi: ArrayLike, nodes: int = DEFAULT_NODES, bins: NDArray[np.intp] | None = None
+    ) -> tuple[Vectors, Floats]:
+        """As `HemisphereGrid.quadrature`; here the directions do not depend on `wi`."""
+        theta, phi = np.array(self.directions)[slice(None) if bins is None else bins].T
+        return cone_quadrature(theta, phi, self.half_angle, nodes)
+
+
+def cone_quadrature(theta: Floats, phi: Floats, half_angle: float, nodes: int) -> tuple[Vectors, Floats]:
+    """Directions (n, q, 3) and cos-weighted weights (n, q), summing to 1, over cones about (theta, phi), degrees.
+
+    Gauss-Legendre in the polar angle of the cone, the periodic trapezoidal rule around it; all above the horizon.
+    """
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    delta = math.radians(half_angle) * (x + 1) / 2
+    psi = (np.arange(2 * nodes) + 0.5) * (math.pi / nodes)
+    d, p = (a.ravel() for a in np.meshgrid(delta, psi, indexing="ij"))
+    local = np.stack([np.sin(d) * np.cos(p), np.sin(d) * np.sin(p), np.cos(d)], axis=-1)
+    frame = np.stack([direction(theta + 90, phi), direction(90.0, phi + 90), direction(theta, phi)], axis=-2)
+    wo = local @ frame
+    weight = np.repeat(w * np.sin(delta), 2 * nodes) * wo[..., 2]
+    return wo, weight / weight.sum(axis=-1, keepdims=True)
+
+
+Detector = Annotated[HemisphereGrid | Apertures, Field(discriminator="kind")]
+"""Every detector there is."""
