@@ -1,0 +1,302 @@
+"""Reflection at a smooth interface: Fresnel's equations, refractive indices, and the materials a surface is made of.
+
+Refractive indices are `eta + i k` with k >= 0, relative to the medium the light is in. Reflectances are power ratios of
+s- and p-polarised light; what has no polarisation in its name is their mean, the reflectance for unpolarised light.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib.resources
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, field_validator, model_validator
+
+from microsurfaces.recipe import Fraction, NonNegative, Positive, recipe
+
+Array = NDArray[np.float64]
+
+CONDUCTORS: Mapping[str, str] = {
+    "Ag": "silver",
+    "Al": "aluminium",
+    "Au": "gold",
+    "Cr": "chromium",
+    "Cu": "copper",
+    "Fe": "iron",
+    "Ni": "nickel",
+    "Ti": "titanium",
+    "W": "tungsten",
+}
+"""The metals with a table of refractive indices, and their English names."""
+
+DIELECTRICS: Mapping[str, str] = {
+    "N-BK7": "borosilicate crown glass",
+    "SiO2": "fused silica",
+    "TiO2": "titanium dioxide",
+}
+"""The transparent materials with a table of refractive indices, and their English names."""
+
+
+# --- Fresnel's equations ---------------------------------------------------------------------------------------------
+
+
+def fresnel_dielectric(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Array, Array]:
+    """Reflectances (R_s, R_p) of an interface between transparent media (Born & Wolf, Principles of Optics, 1.5.2).
+
+    `cos_i` in [0, 1] is the cosine of the angle of incidence, `eta` > 0 the refractive index of the far medium over
+    that of the near one; they broadcast. Below 1 (light from inside) the reflection is total beyond the critical angle.
+    """
+    c, eta = np.broadcast_arrays(np.asarray(cos_i, np.float64), np.asarray(eta, np.float64))
+    cos_t = _cos_refracted(c, eta)
+    r_s = _ratio(c - eta * cos_t, c + eta * cos_t)
+    r_p = _ratio(eta * c - cos_t, eta * c + cos_t)
+    total = _sin2_refracted(c, eta) >= 1.0
+    return np.where(total & (eta != 1.0), 1.0, r_s**2), np.where(total & (eta != 1.0), 1.0, r_p**2)
+
+
+def fresnel_transmittance(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Array, Array]:
+    """Transmittances (T_s, T_p): the transmitted share of the incident power; arguments as for `fresnel_dielectric`.
+
+    T = eta cos_t / cos_i |t|^2 with Fresnel's amplitudes t, so that R + T = 1 is a law and not a definition.
+    """
+    c, eta = np.broadcast_arrays(np.asarray(cos_i, np.float64), np.asarray(eta, np.float64))
+    cos_t = _cos_refracted(c, eta)
+    power = 4.0 * eta * c * cos_t
+    t_s, t_p = _ratio(power, (c + eta * cos_t) ** 2), _ratio(power, (eta * c + cos_t) ** 2)
+    identity = eta == 1.0
+    return np.where(identity, 1.0, t_s), np.where(identity, 1.0, t_p)
+
+
+def fresnel_conductor(cos_i: ArrayLike, eta: ArrayLike, k: ArrayLike) -> tuple[Array, Array]:
+    """Reflectances (R_s, R_p) of a medium of complex index `eta` + i `k` (Born & Wolf, Principles of Optics, 14.2).
+
+    `cos_i` in [0, 1], `eta` > 0, `k` >= 0, broadcast against each other. With k = 0 it is the dielectric's.
+    """
+    c, eta, k = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (cos_i, eta, k)))
+    c2, s2 = c * c, 1.0 - c * c
+    # (a + i b)^2 = (eta + i k)^2 - sin^2; the smaller of a and b comes from their product eta k, not from a difference.
+    real = eta * eta - k * k - s2
+    modulus = np.hypot(real, 2.0 * eta * k)
+    larger = (modulus + np.abs(real)) / 2.0
+    a = np.sqrt(np.where(real >= 0.0, larger, _ratio((eta * k) ** 2, larger)))
+    across, along = c2 + modulus, c2 * modulus + s2 * s2
+    r_s = _ratio(across - 2.0 * a * c, across + 2.0 * a * c)
+    return r_s, r_s * _ratio(along - 2.0 * a * c * s2, along + 2.0 * a * c * s2)
+
+
+def _sin2_refracted(c: Array, eta: Array) -> Array:
+    return (1.0 - c * c) / (eta * eta)
+
+
+def _cos_refracted(c: Array, eta: Array) -> Array:
+    """Cosine of the angle of refraction, 0 where the reflection is total."""
+    return np.sqrt(np.maximum(1.0 - _sin2_refracted(c, eta), 0.0))
+
+
+def _ratio(numerator: Array, denominator: Array) -> Array:
+    """The quotient, 0 where both are 0 (grazing light on an interface without contrast)."""
+    zero = denominator == 0.0
+    quotient: Array = np.where(zero, 0.0, numerator) / np.where(zero, 1.0, denominator)
+    return quotient
+
+
+# --- Refractive indices ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class IndexTable:
+    """Measured refractive indices of one material, as published."""
+
+    name: str
+    """Chemical symbol or trade name."""
+    wavelengths: Array
+    """(n,) nm, ascending."""
+    index: NDArray[np.complex128]
+    """(n,) eta + i k."""
+    specimen: str
+    """What was measured."""
+    citation: str
+    """The paper or catalogue."""
+    page: str
+    """Where the numbers were taken from."""
+
+    def __call__(self, wavelengths: ArrayLike) -> NDArray[np.complex128]:
+        """eta + i k at `wavelengths` (W,) nm, linear between the points; outside the table a ValueError names it."""
+        lam = np.atleast_1d(np.asarray(wavelengths, np.float64))
+        low, high = self.wavelengths[0], self.wavelengths[-1]
+        outside = lam[~((lam >= low) & (lam <= high))]
+        if outside.size:
+            values = ", ".join(f"{x:g}" for x in outside)
+            raise ValueError(
+                f"{self.name} has no refractive index at {values} nm: its table covers {low:g} to {high:g} nm; "
+                "choose wavelengths within it, or give eta and k."
+            )
+        return np.interp(lam, self.wavelengths, self.index)
+
+
+@cache
+def index_table(name: str) -> IndexTable:
+    """The table of a material in `materials()`; any other name is a ValueError that lists them."""
+    if name not in materials():
+        raise ValueError(_unknown(name, materials()))
+    text = (importlib.resources.files("gonio") / "data" / f"{name}.csv").read_text(encoding="ascii")
+    comments = [line[2:].split(": ", 1) for line in text.splitlines() if line.startswith("#")]
+    header = dict(comments)
+    rows = np.loadtxt(text.splitlines()[len(comments) + 1 :], delimiter=",")
+    return IndexTable(
+        name, rows[:, 0], rows[:, 1] + 1j * rows[:, 2], header["specimen"], header["citation"], header["page"]
+    )
+
+
+def materials() -> dict[str, str]:
+    """Name and English name of every material with a table: metals for `Conductor`, then glasses for `Dielectric`."""
+    return {**CONDUCTORS, **DIELECTRICS}
+
+
+def citation(name: str) -> str:
+    """The source of a material's refractive indices, one line."""
+    table = index_table(name)
+    return f"{table.citation}; {table.specimen}; {table.wavelengths[0]:g} to {table.wavelengths[-1]:g} nm"
+
+
+def _unknown(name: str, known: Mapping[str, str]) -> str:
+    """The sentence for a name that is not in `known`, with the nearest symbol or English name if there is one."""
+    spellings = {word.lower(): symbol for symbol, english in known.items() for word in (symbol, english)}
+    near = difflib.get_close_matches(name.lower(), spellings, n=1, cutoff=0.6)
+    hint = f"did you mean {spellings[near[0]]!r}?" if near else "or give numbers instead of a name."
+    return f"{name!r} has no table of refractive indices here; choose one of {', '.join(known)}: {hint}"
+
+
+# --- Materials -------------------------------------------------------------------------------------------------------
+
+
+@recipe
+class Mirror:
+    """An ideal mirror: reflectance 1 at every angle and wavelength.
+
+    Nothing absorbs it, so whatever energy a measurement misses was lost by the instrument: the white-furnace material.
+    """
+
+    def reflectance(self, cos_i: ArrayLike, wavelengths: ArrayLike) -> Array:
+        """Ones, shape (..., W)."""
+        return np.ones((*np.shape(cos_i), np.size(wavelengths)))
+
+
+@recipe
+class Conductor:
+    """A metal, opaque and smooth: Fresnel's equations with the complex refractive index eta + i k.
+
+    Named metals (Ag, Al, Au, Cr, Cu, Fe, Ni, Ti, W) follow published tables over the visible range and beyond;
+    `eta` and `k` instead of a name hold at every wavelength. Gold reflects 37 % of blue light and 95 % of red, chromium
+    two thirds of either; all metals tend to 1 at grazing incidence, after a shallow minimum near 75 to 85 degrees.
+    Source: M. Born and E. Wolf, Principles of Optics (7th ed., 1999), 14.2, doi:10.1017/CBO9781139644181.
+    """
+
+    name: str | None = None
+    """Chemical symbol of a metal with a table: Ag, Al, Au, Cr, Cu, Fe, Ni, Ti or W."""
+    eta: Positive | None = None
+    """Real part of the refractive index, if no name is given."""
+    k: NonNegative | None = None
+    """Imaginary part of the refractive index (extinction coefficient), if no name is given."""
+
+    @field_validator("name")
+    @classmethod
+    def _known(cls, name: str | None) -> str | None:
+        if name in DIELECTRICS:
+            raise ValueError(
+                f"{name!r} is transparent: give it as a Dielectric, or choose one of {', '.join(CONDUCTORS)}."
+            )
+        if name is not None and name not in CONDUCTORS:
+            raise ValueError(_unknown(name, CONDUCTORS))
+        return name
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.name is None) != (self.eta is not None and self.k is not None) or (self.eta is None) != (
+            self.k is None
+        ):
+            raise ValueError("A Conductor needs either a name, such as 'Au', or both eta and k.")
+        return self
+
+    def refractive_index(self, wavelengths: ArrayLike) -> NDArray[np.complex128]:
+        """eta + i k, shape (W,), at `wavelengths` in nm; outside the metal's table a ValueError names its range."""
+        if self.name is not None:
+            return index_table(self.name)(wavelengths)
+        assert self.eta is not None
+        assert self.k is not None
+        return np.full(np.size(wavelengths), complex(self.eta, self.k))
+
+    def reflectance(self, cos_i: ArrayLike, wavelengths: ArrayLike) -> Array:
+        """Unpolarised reflectance (..., W) at cosines of incidence `cos_i` (...) in [0, 1] and `wavelengths` in nm."""
+        index = self.refractive_index(wavelengths)
+        r_s, r_p = fresnel_conductor(np.asarray(cos_i)[..., None], index.real, index.imag)
+        mean: Array = (r_s + r_p) / 2.0
+        return mean
+
+
+@recipe
+class Dielectric:
+    """A transparent material such as glass: Fresnel's equations with a real refractive index.
+
+    Only reflection is followed: what enters the material is counted as absorbed, as if it were thick and black inside.
+    Named materials (N-BK7, SiO2, TiO2) follow published tables, their slight absorption left out; `eta` instead of a
+    name holds at every wavelength. Glass (eta = 1.5) reflects 4 % at normal incidence, 9 % at 60 degrees, 39 % at 80.
+    Source: M. Born and E. Wolf, Principles of Optics (7th ed., 1999), 1.5.2, doi:10.1017/CBO9781139644181.
+    """
+
+    name: str | None = None
+    """A material with a table: N-BK7, SiO2 or TiO2."""
+    eta: Positive | None = None
+    """Refractive index relative to the outside, if no name is given."""
+
+    @field_validator("name")
+    @classmethod
+    def _known(cls, name: str | None) -> str | None:
+        if name in CONDUCTORS:
+            raise ValueError(f"{name!r} is a metal: give it as a Conductor, or choose one of {', '.join(DIELECTRICS)}.")
+        if name is not None and name not in DIELECTRICS:
+            raise ValueError(_unknown(name, DIELECTRICS))
+        return name
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.name is None) == (self.eta is None):
+            raise ValueError("A Dielectric needs either a name, such as 'N-BK7', or eta.")
+        return self
+
+    def refractive_index(self, wavelengths: ArrayLike) -> NDArray[np.complex128]:
+        """eta + 0i, shape (W,), at `wavelengths` in nm; outside the material's table a ValueError names its range."""
+        if self.name is not None:
+            return index_table(self.name)(wavelengths).real.astype(np.complex128)
+        assert self.eta is not None
+        return np.full(np.size(wavelengths), complex(self.eta))
+
+    def reflectance(self, cos_i: ArrayLike, wavelengths: ArrayLike) -> Array:
+        """Unpolarised reflectance (..., W) at cosines of incidence `cos_i` (...) in [0, 1] and `wavelengths` in nm."""
+        r_s, r_p = fresnel_dielectric(np.asarray(cos_i)[..., None], self.refractive_index(wavelengths).real)
+        mean: Array = (r_s + r_p) / 2.0
+        return mean
+
+
+@recipe
+class Lambertian:
+    """An ideal diffuser: the same radiance in every direction, whatever direction the light came from.
+
+    BRDF reflectance / pi; a path goes on in a cosine-distributed direction, so that multiple scattering is included.
+    White paper is near 0.8, pressed PTFE 0.99, black paint 0.05.
+    """
+
+    reflectance: Fraction = 0.8
+    """Reflected share of the incident power (albedo), 0 to 1, the same at every wavelength."""
+
+
+Specular = Annotated[Mirror | Conductor | Dielectric, Field(discriminator="kind")]
+"""Materials that reflect as a mirror does, by Fresnel's equations: `reflectance(cos_i, wavelengths)` (..., W)."""
+
+Material = Annotated[Mirror | Conductor | Dielectric | Lambertian, Field(discriminator="kind")]
+"""What a surface may be made of."""
