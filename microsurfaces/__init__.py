@@ -1,0 +1,19 @@
+"""Rough surfaces: recipes that build periodic height fields and meshes. Geometry only; knows nothing of light.
+
+>>> relief = Gaussian(alpha=0.3, correlation_length=10.0, side=600.0, samples=256).build(seed=1)
+>>> relief.statistics().beckmann_alpha
+"""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from microsurfaces.height_field import HeightField
+from microsurfaces.mesh import Mesh, Statistics
+from microsurfaces.profiles import Flat
+from microsurfaces.random_fields import Gaussian
+
+Surface = Annotated[Flat | Gaussian, Field(discriminator="kind")]
+"""Any surface recipe; `kind`, the name of its class, says which."""
+
+__all__ = ["Flat", "Gaussian", "HeightField", "Mesh", "Statistics", "Surface"]
