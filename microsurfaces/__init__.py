@@ -10,10 +10,10 @@ from pydantic import Field
 
 from microsurfaces.height_field import HeightField
 from microsurfaces.mesh import Mesh, Statistics
-from microsurfaces.profiles import Flat
+from microsurfaces.profiles import Cylinders, Flat, VGrooves
 from microsurfaces.random_fields import Gaussian
 
-Surface = Annotated[Flat | Gaussian, Field(discriminator="kind")]
+Surface = Annotated[Flat | Gaussian | Cylinders | VGrooves, Field(discriminator="kind")]
 """Any surface recipe; `kind`, the name of its class, says which."""
 
-__all__ = ["Flat", "Gaussian", "HeightField", "Mesh", "Statistics", "Surface"]
+__all__ = ["Cylinders", "Flat", "Gaussian", "HeightField", "Mesh", "Statistics", "Surface", "VGrooves"]
