@@ -1,0 +1,71 @@
+"""The microfacet model of today: a distribution of normals, a masking and a material, each to be chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gonio.detectors import Detector
+from gonio.models.averages import bin_average
+from gonio.models.distributions import Beckmann, Distribution
+from gonio.models.facets import lobe_detail, specular
+from gonio.models.masking import Masking, SmithCorrelated
+from gonio.optics import Specular
+from microsurfaces.recipe import recipe
+
+Array = NDArray[np.float64]
+
+
+@recipe
+class Microfacet:
+    """Single scattering by mirror facets, composed of a distribution of normals, a masking and a material.
+
+    Physics. Only facets whose normal is the half vector H reflect light from L = wi to V = wo. The distribution says
+    how much area they have, the masking which share of it is both lit and visible, the material how much they reflect
+    at the LOCAL angle of incidence. Light reflected twice or more is not in the model.
+
+    Equation, with N the macroscopic normal:
+
+        f = F(L.H) D(H) G2(L, V, H) / (4 (N.L) (N.V))
+
+    With Beckmann's distribution and Smith's height-correlated masking it is the reference for Gaussian random height
+    fields: with alpha measured from the facets, its albedo is within 2 % of a traced surface (0 to 60 degrees), most 5
+    x 15 degree bins within 2 to 3 %. What remains is real: correlated heights hide less, a traced surface is brighter
+    towards the lamp (by up to 70 % at 85 degrees), and darker in the forward grazing lobe by 5 to 20 %. Only for
+    geometric optics: facets many wavelengths wide.
+
+    A feel for the numbers: straight above, L = V = N, with F = 1 it is 1 / (4 pi alpha^2): 0.884 / sr at alpha = 0.3.
+    With F = 1 the albedo at 0, 45, 75 degrees is 1.000, 0.967, 0.903 for alpha = 0.3 and 0.856, 0.833, 0.906 for 0.6;
+    the rest is multiple scattering.
+
+    Source: B. Walter, S. R. Marschner, H. Li, K. E. Torrance, Microfacet Models for Refraction through Rough Surfaces,
+    EGSR 2007, doi:10.2312/EGWR/EGSR07/195-206, eq. 20; masking: E. Heitz, Understanding the Masking-Shadowing Function
+    in Microfacet-Based BRDFs, Journal of Computer Graphics Techniques 3(2), 2014,
+    http://jcgt.org/published/0003/02/03/.
+    """
+
+    distribution: Distribution
+    """Distribution of the facets' normals: Beckmann(alpha)."""
+    masking: Masking
+    """How facets hide one another: SmithCorrelated()."""
+    material: Specular
+    """What the facets are made of: Mirror, Conductor or Dielectric."""
+
+    @classmethod
+    def of(cls, statistics: Mapping[str, float | None], material: Specular) -> Self:
+        """Smith and Beckmann for a specimen: alpha is the one that its `statistics` measured from the facets."""
+        return cls(distribution=Beckmann.of(statistics), masking=SmithCorrelated(), material=material)
+
+    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Array:
+        """BRDF (..., W) in 1/sr, no cosine, of `wi` and `wo` (..., 3); 0 where a direction is not above the horizon."""
+        return specular(
+            self.distribution, partial(self.masking.g2, self.distribution), self.material, wi, wo, wavelengths
+        )
+
+    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Array:
+        """Bin averages (bins, W) in 1/sr for light from `wi` (3,), to about 1e-5 of a bin or of the mean."""
+        return bin_average(self, lobe_detail(self.distribution.alpha), wi, detector, wavelengths)
