@@ -8,12 +8,25 @@ from typing import Annotated
 
 from pydantic import Field
 
+from microsurfaces.files import HeightFieldFile, MeshFile, save_surface
 from microsurfaces.height_field import HeightField
 from microsurfaces.mesh import Mesh, Statistics
 from microsurfaces.profiles import Cylinders, Flat, VGrooves
 from microsurfaces.random_fields import Gaussian
 
-Surface = Annotated[Flat | Gaussian | Cylinders | VGrooves, Field(discriminator="kind")]
+Surface = Annotated[Flat | Gaussian | Cylinders | VGrooves | HeightFieldFile | MeshFile, Field(discriminator="kind")]
 """Any surface recipe; `kind`, the name of its class, says which."""
 
-__all__ = ["Cylinders", "Flat", "Gaussian", "HeightField", "Mesh", "Statistics", "Surface", "VGrooves"]
+__all__ = [
+    "Cylinders",
+    "Flat",
+    "Gaussian",
+    "HeightField",
+    "HeightFieldFile",
+    "Mesh",
+    "MeshFile",
+    "Statistics",
+    "Surface",
+    "VGrooves",
+    "save_surface",
+]
