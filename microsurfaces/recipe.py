@@ -142,7 +142,7 @@ def _sentence(mistake: ErrorDetails, place: _Place) -> str:
             text = f"{key}: {place.owner.__name__ if place.owner else 'the recipe'} has no such parameter{hint}"
         case "union_tag_not_found" if isinstance(value, Mapping):
             text = f"{kind} is missing: choose {_choice(tags)}"
-        case "union_tag_not_found" | "dict_type":
+        case "union_tag_not_found" | "dict_type" | "model_attributes_type":
             text = f"{key} = {_show(value)}: must be a table whose kind is {_choice(tags)}"
         case "union_tag_invalid":
             tag = context["tag"]
