@@ -1,0 +1,132 @@
+"""The traced sample: Embree over one period of a mesh and a seam around it. The only importer of embreex.
+
+The tile is the box of one period, centred on the origin so that float32 coordinates stay small. Triangles of the
+neighbouring periods that reach into a seam around the tile are added, so that a ray which leaves the tile is known to
+be free before it re-enters opposite, and no ray can slip through where the periods meet.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore import EmbreeDevice
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
+
+from gonio.optics import Material
+from microsurfaces import HeightField, Mesh
+
+Float32s = NDArray[np.float32]
+
+SEAM = 1e-3
+"""Width of the seam in periods."""
+
+OFFSET = 1e-6
+"""Restart offset along the facet normal, in units of the largest coordinate: smaller loses rays in bulk, larger leaks
+at concave edges."""
+
+
+class Tile(NamedTuple):
+    """The box of one period, centred; µm. Numbers that every kernel needs."""
+
+    half_x: float
+    half_y: float
+    outer_x: float
+    """Half width of the box with its seam: inside it all geometry is present."""
+    outer_y: float
+    bottom: float
+    """Below this there is no surface: a ray here is lost."""
+    top: float
+    """Above this there is no surface: a ray that rises here has escaped. Paths start here."""
+    offset: float
+    """Restart offset along the facet normal."""
+
+
+class Scene:
+    """A relief and its material, ready to be traced.
+
+    `relief` is a `HeightField` or a `Mesh`; `material` a material recipe. Building it constructs the acceleration
+    structure once (about 1 s per million triangles); it can be shared by any number of measurements and threads.
+    """
+
+    def __init__(self, relief: HeightField | Mesh, material: Material) -> None:
+        self.relief = relief
+        self.material = material
+        self.mesh = relief if isinstance(relief, Mesh) else relief.mesh()
+        self.mesh.check()
+        vertices, faces, source = _with_seam(self.mesh)
+        largest = float(np.abs(vertices).max())
+        offset = OFFSET * largest
+        half_x, half_y = self.mesh.period[0] / 2, self.mesh.period[1] / 2
+        self.tile = Tile(
+            half_x,
+            half_y,
+            half_x * (1 + 2 * SEAM),
+            half_y * (1 + 2 * SEAM),
+            float(vertices[:, 2].min()) - 4 * offset,
+            float(vertices[:, 2].max()) + 4 * offset,
+            offset,
+        )
+        self.normals = self.mesh.normals().astype(np.float32)[source]
+        """Facet normals (triangles, 3), seam included."""
+        self.corner_normals = _corner_normals(self.mesh, source)
+        """Exact normals at the triangles' corners (triangles, 3, 3), empty where facets are facets."""
+        self._embree = EmbreeScene(EmbreeDevice(), robust=True)
+        self._geometry = TriangleMesh(self._embree, vertices, faces)
+        self.intersect(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), np.ones(1, np.float32))
+
+    def intersect(self, origins: Float32s, directions: Float32s, reach: Float32s) -> dict[str, NDArray]:  # type: ignore[type-arg]
+        """Closest hits of rays (n, 3), (n, 3) within the distances `reach` (n,).
+
+        Returns embreex' dictionary: primID (n,) int32, -1 for none, tfar, u and v (n,) float32, Ng (n, 3). Releases
+        the interpreter's lock, so threads may share a scene.
+        """
+        hits: dict[str, NDArray] = self._embree.run(origins, directions, dists=reach, output=True)  # type: ignore[type-arg]
+        return hits
+
+
+def _with_seam(mesh: Mesh) -> tuple[Float32s, NDArray[np.int32], NDArray[np.intp]]:
+    """Centred vertices (n, 3), faces (m, 3) and for each face the face of `mesh` that it repeats (m,)."""
+    period = np.array([*mesh.period, 0.0])
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    # The relief's own corner is the tile's, so that a height field needs no more than its border cells.
+    centre = np.array([low[0], low[1], (low[2] + high[2]) / 2]) + period / 2
+    base = mesh.vertices - centre
+    least, most = _face_boxes(base[:, :2].astype(np.float32), mesh.faces)
+    outer = (0.5 + SEAM) * period[:2]
+    reach = np.ceil((high - low)[:2] / period[:2] + SEAM).astype(int)
+    vertices, faces, source = [base.astype(np.float32)], [mesh.faces], [np.arange(len(mesh.faces))]
+    count = len(base)
+    for i, j in np.ndindex(*(2 * reach + 1)):
+        shift = (np.array([i, j]) - reach) * period[:2]
+        if not shift.any():
+            continue
+        chosen = np.flatnonzero(((least < outer - shift) & (most > -outer - shift)).all(axis=1))
+        if not chosen.size:
+            continue
+        used, renumbered = np.unique(mesh.faces[chosen], return_inverse=True)
+        vertices.append((base[used] + [*shift, 0.0]).astype(np.float32))
+        faces.append((renumbered.reshape(-1, 3) + count).astype(np.int32))
+        source.append(chosen)
+        count += len(used)
+    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(source)
+
+
+def _face_boxes(points: Float32s, faces: NDArray[np.int32]) -> tuple[Float32s, Float32s]:
+    """Least and greatest x, y of every face, each (m, 2)."""
+    least = points[faces[:, 0]]
+    most = least.copy()
+    for corner in (1, 2):
+        other = points[faces[:, corner]]
+        np.minimum(least, other, out=least)
+        np.maximum(most, other, out=most)
+    return least, most
+
+
+def _corner_normals(mesh: Mesh, source: NDArray[np.intp]) -> Float32s:
+    """Exact normals of every triangle's corners (m, 3, 3); shape (0, 3, 3) for a mesh of plain facets."""
+    if mesh.vertex_normals is None:
+        return np.zeros((0, 3, 3), np.float32)
+    return mesh.vertex_normals[mesh.faces[source]].astype(np.float32)
