@@ -1,0 +1,356 @@
+"""The instrument: which directions, wavelengths and how many paths; `measure` turns a scene into a Measurement."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import itertools
+import json
+import math
+import os
+import platform
+import struct
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, TypeAdapter, model_validator
+
+from gonio.detectors import Detector, HemisphereGrid
+from gonio.measurement import FATES, ORDERS, Measurement
+from gonio.scene import Scene
+from gonio.tally import MAX_PATHS, UNIT, Wide
+from gonio.transport import ABSORBED, LOST, TRUNCATED, Bins, Catch, Lamp, Matter, bins_of, matter, trace
+from microsurfaces.recipe import NonNegative, Positive, recipe
+
+Progress = Callable[[int, int, int], None]
+"""Called a few times a second with (paths done, paths in all, rays traced)."""
+
+_TICK = 0.1
+
+
+@recipe
+class Goniometer:
+    """A lamp, a sample holder and a detector: light from every (theta_i, phi_i), collected in the detector's bins.
+
+    Every incidence is measured with `replicates` independent randomised replicates of equal size; their scatter is the
+    error bar. `measure` returns the same bytes for the same seed whatever the number of threads.
+    """
+
+    theta_i: Annotated[tuple[Annotated[float, Field(ge=0, lt=90)], ...], Field(min_length=1)] = (0.0,)
+    """Polar angles of the light, degrees, 0 to below 90, increasing."""
+    phi_i: Annotated[tuple[Annotated[float, Field(ge=0, lt=360)], ...], Field(min_length=1)] = (0.0,)
+    """Azimuths of the light, degrees, 0 to below 360, increasing."""
+    wavelengths: Annotated[tuple[Positive, ...], Field(min_length=1)] = (450.0, 550.0, 650.0)
+    """Wavelengths in vacuum, nm, increasing."""
+    paths: Annotated[int, Field(ge=1, le=MAX_PATHS)] = 1_000_000
+    """Light paths per incidence and realisation, rounded up to whole replicates."""
+    target_error: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Stop criterion: more replicates, beyond `paths`, until half of the reflected light leaves through bins whose
+    relative Monte Carlo standard error is below this."""
+    detector: Detector = HemisphereGrid()
+    """Where the light is collected."""
+    azimuth: Literal["fixed", "average"] = "fixed"
+    """"average" turns the surface by another angle for every path: the isotropic average of any surface."""
+    beam_half_angle: NonNegative = 0.0
+    """Half the angle that the lamp subtends at the sample, degrees; 0 is a collimated beam."""
+    replicates: Annotated[int, Field(ge=2, le=1024)] = 16
+    """Independent replicates that the error bars come from."""
+
+    @model_validator(mode="after")
+    def _directions_make_sense(self) -> Goniometer:
+        for name in ("theta_i", "phi_i", "wavelengths"):
+            values = getattr(self, name)
+            if any(b <= a for a, b in zip(values, values[1:], strict=False)):
+                raise ValueError(f"{name} = {list(values)} must increase from each value to the next")
+        for theta in self.theta_i:
+            if self.beam_half_angle and theta + self.beam_half_angle > 90:
+                raise ValueError(
+                    f"theta_i = {theta:g} with beam_half_angle = {self.beam_half_angle:g} puts part of the lamp below "
+                    f"the horizon: keep their sum at or below 90 degrees"
+                )
+            if isinstance(self.detector, HemisphereGrid) and self.detector.edge_at(theta):
+                raise ValueError(
+                    f"theta_i = {theta:g} lies on a bin edge of the detector, where rounding would split the mirror "
+                    f"lobe: move theta_i or choose another theta_step than {self.detector.theta_step:g}"
+                )
+        return self
+
+    def measure(
+        self,
+        scene: Scene,
+        seed: int = 0,
+        threads: int | None = None,
+        progress: Progress | None = None,
+        replicates: Sequence[int] | None = None,
+    ) -> Measurement:
+        """Measure `scene` at every incidence.
+
+        `threads` defaults to the number of cores. `replicates`, one number per incidence (phi_i fastest), overrides
+        what `target_error` would choose: further specimens are to be measured as often as the first was. A
+        KeyboardInterrupt ends the measurement early: what is complete is returned, and marked `interrupted`. Raises
+        MemoryError, with what it would need, when the sums cannot fit.
+        """
+        workers = threads or os.cpu_count() or 1
+        _refuse_what_cannot_fit(self, workers)
+        incidences = [(theta, phi) for theta in self.theta_i for phi in self.phi_i]
+        job = _Job(self, scene, seed, workers, progress, len(incidences))
+        sums = _empty_sums(self)
+        interrupted = False
+        for index, (theta, phi) in enumerate(incidences):
+            try:
+                tally = job.incidence(theta, phi, None if replicates is None else replicates[index])
+            except KeyboardInterrupt:
+                interrupted = True
+                break
+            tally.write(sums, *divmod(index, len(self.phi_i)))
+        return Measurement(sums, _attributes(self, scene, seed, interrupted))
+
+
+@dataclass
+class _Tally:
+    """Exact sums over the replicates of one incidence: (orders, bins + 1, wavelengths)."""
+
+    pilot: int
+    """The first so many replicates give the error bars; any more only make the mean better. Their number may follow
+    from the pilot's scatter, and intervals still cover (Stein 1945, doi:10.1214/aoms/1177731088)."""
+    paths: int
+    """Paths per replicate."""
+    total: NDArray[np.int64]
+    piloted: NDArray[np.int64]
+    squares: Wide
+    hits: NDArray[np.int64]
+    ledger: NDArray[np.int64]
+    replicates: int = 0
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @classmethod
+    def empty(cls, goniometer: Goniometer) -> _Tally:
+        shape = (len(ORDERS), goniometer.detector.bins + 1, len(goniometer.wavelengths))
+        zeros = [np.zeros(shape, np.int64) for _ in range(2)]
+        return cls(
+            goniometer.replicates,
+            math.ceil(goniometer.paths / goniometer.replicates),
+            *zeros,
+            Wide.zeros(shape),
+            np.zeros(shape[:2], np.int64),
+            np.zeros((3, shape[2]), np.int64),
+        )
+
+    def add(self, replicate: int, catch: Catch) -> None:
+        """Add one replicate."""
+        weight = np.concatenate([catch.weight.sum(axis=0, keepdims=True), catch.weight])
+        with self.lock:
+            self.total += weight
+            self.hits[0] += catch.hits.sum(axis=0)
+            self.hits[1:] += catch.hits
+            self.ledger += catch.ledger
+            self.replicates += 1
+            if replicate < self.pilot:
+                self.piloted += weight
+                self.squares.add_square(weight)
+
+    def wanted(self, target: float) -> int:
+        """How many replicates bring the median relative error of the reflected light down to `target`."""
+        light = self.piloted[0, :-1].astype(np.float64)
+        scatter = self.squares.scatter(self.piloted, self.pilot).floats()[0, :-1]
+        error = np.sqrt(scatter / (self.pilot - 1)) / np.maximum(light, 1.0)
+        median = max(_weighted_median(error[:, w], light[:, w]) for w in range(light.shape[1]))
+        return max(self.pilot, math.ceil(self.pilot * (median / target) ** 2))
+
+    def write(self, sums: Any, row: int, column: int) -> None:
+        """Enter the sums of this incidence."""
+        at = (row, column)
+        scatter = self.squares.scatter(self.piloted, self.pilot)
+        squares = Wide.zeros(self.total.shape)
+        squares.add_square(self.total)
+        for name, value in (
+            ("weight", self.total),
+            ("hits", self.hits),
+            ("mc_scatter_high", scatter.high),
+            ("mc_scatter_low", scatter.low),
+            ("realisation_squares_high", squares.high),
+            ("realisation_squares_low", squares.low),
+            ("paths", self.paths * self.replicates),
+            ("replicates", self.replicates),
+            ("realisations", 1),
+        ):
+            sums[name].values[at] = value
+        fates = {
+            "launched": self.paths * self.replicates * UNIT,
+            "escaped": self.total[0, -1],
+            "absorbed": self.ledger[ABSORBED],
+            "truncated": self.ledger[TRUNCATED],
+            "lost": self.ledger[LOST],
+        }
+        for index, fate in enumerate(FATES):
+            sums["ledger"].values[(*at, index)] = fates[fate]
+
+
+def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    order = np.argsort(values)
+    cumulative = np.cumsum(weights[order])
+    if cumulative[-1] == 0:
+        return 0.0
+    return float(values[order][np.searchsorted(cumulative, cumulative[-1] / 2)])
+
+
+@dataclass
+class _Job:
+    """One measurement under way: its threads and its progress."""
+
+    goniometer: Goniometer
+    scene: Scene
+    seed: int
+    threads: int
+    progress: Progress | None
+    incidences: int
+    stop: threading.Event = field(default_factory=threading.Event)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    paths: int = 0
+    rays: int = 0
+    finished: int = 0
+    """Paths of the incidences that are complete."""
+
+    def incidence(self, theta: float, phi: float, replicates: int | None) -> _Tally:
+        """Measure one incidence: a pilot of replicates, and as many more as the target needs."""
+        g = self.goniometer
+        wavelengths = np.array(g.wavelengths)
+        beam = math.sin(math.radians(g.beam_half_angle)) ** 2
+        lamp = Lamp(math.radians(theta), math.radians(phi), beam, g.azimuth == "average", _key(self.seed, theta, phi))
+        setting = (lamp, matter(self.scene.material, wavelengths), bins_of(g.detector, phi))
+        tally = _Tally.empty(g)
+        self._run(tally, setting, range(replicates or g.replicates))
+        if replicates is None and g.target_error is not None:
+            wanted = tally.wanted(g.target_error)
+            if wanted * tally.paths > MAX_PATHS:
+                raise ValueError(
+                    f"target_error = {g.target_error:g} needs {wanted * tally.paths:.2g} paths at theta_i = {theta:g}, "
+                    f"more than the {MAX_PATHS} that can be summed exactly: ask for less, or for wider bins"
+                )
+            self._run(tally, setting, range(g.replicates, wanted))
+        self.finished += tally.paths * tally.replicates
+        self.incidences -= 1
+        return tally
+
+    def _run(self, tally: _Tally, setting: tuple[Lamp, Matter, Bins], replicates: range) -> None:
+        """Trace replicates on all threads; every thread takes the next one when it has finished one."""
+        expected = self.finished + tally.paths * replicates.stop + (self.incidences - 1) * self.goniometer.paths
+        queue = iter(replicates)
+        with ThreadPoolExecutor(self.threads) as pool:
+            pending: set[Future[None]] = set()
+            try:
+                while True:
+                    for replicate in itertools.islice(queue, self.threads - len(pending)):
+                        pending.add(pool.submit(self._replicate, tally, setting, replicate))
+                    if not pending:
+                        break
+                    done, pending = wait(pending, timeout=_TICK, return_when=FIRST_COMPLETED)
+                    for future in done:
+                        future.result()
+                    if self.progress:
+                        self.progress(self.paths, max(expected, self.paths), self.rays)
+            except BaseException:
+                self.stop.set()
+                raise
+
+    def _replicate(self, tally: _Tally, setting: tuple[Lamp, Matter, Bins], replicate: int) -> None:
+        catch = trace(self.scene, *setting, replicate, tally.paths, self._advanced)
+        if catch is not None:
+            tally.add(replicate, catch)
+
+    def _advanced(self, paths: int, rays: int) -> bool:
+        with self.lock:
+            self.paths += paths
+            self.rays += rays
+        return not self.stop.is_set()
+
+
+def _key(seed: int, theta: float, phi: float) -> tuple[int, int]:
+    """Two 32-bit words that depend on the seed and on the incidence's values, not on its place in the list."""
+    digest = hashlib.blake2b(str(seed).encode() + struct.pack("<dd", theta, phi), digest_size=8).digest()
+    low, high = struct.unpack("<II", digest)
+    return low, high
+
+
+def _empty_sums(goniometer: Goniometer) -> Any:
+    import xarray as xr
+
+    incidence = (len(goniometer.theta_i), len(goniometer.phi_i))
+    bins, width = goniometer.detector.bins + 1, len(goniometer.wavelengths)
+    full = ("theta_i", "phi_i", "order", "bin", "wavelength")
+    shapes: dict[str, tuple[tuple[str, ...], tuple[int, ...], type]] = {
+        "weight": (full, (len(ORDERS), bins, width), np.int64),
+        "hits": (full[:-1], (len(ORDERS), bins), np.int64),
+        "ledger": (("theta_i", "phi_i", "fate", "wavelength"), (len(FATES), width), np.int64),
+        **{name: (full[:2], (), np.int64) for name in ("paths", "replicates", "realisations")},
+        **{
+            f"{name}_{half}": (full, (len(ORDERS), bins, width), np.uint64)
+            for name in ("mc_scatter", "realisation_squares")
+            for half in ("high", "low")
+        },
+    }
+    sums = xr.Dataset(
+        {name: (dims, np.zeros(incidence + shape, dtype)) for name, (dims, shape, dtype) in shapes.items()},
+        coords={
+            "theta_i": np.array(goniometer.theta_i, np.float64),
+            "phi_i": np.array(goniometer.phi_i, np.float64),
+            "order": list(ORDERS),
+            "fate": list(FATES),
+            "wavelength": np.array(goniometer.wavelengths, np.float64),
+        },
+    )
+    return sums.assign_attrs(pilot=goniometer.replicates, units="2-32 path")
+
+
+def _attributes(goniometer: Goniometer, scene: Scene, seed: int, interrupted: bool) -> dict[str, Any]:
+    """Provenance of a measurement, as plain strings and numbers that any netCDF reader shows."""
+    packages = ("gonio", "numpy", "numba", "embreex", "xarray")
+    versions = {name: _version(name) for name in packages}
+    return {
+        "Conventions": "CF-1.11",
+        "title": "BRDF measured by gonio, a virtual gonioreflectometer",
+        "source": "ray tracing of a microsurface",
+        "goniometer": TypeAdapter(Goniometer).dump_json(goniometer).decode(),
+        "detector": TypeAdapter(Detector).dump_json(goniometer.detector).decode(),
+        "material": TypeAdapter(type(scene.material)).dump_json(scene.material).decode(),
+        "surface_statistics": json.dumps(scene.relief.statistics().as_dict()),
+        "isotropic": int(goniometer.azimuth == "average"),
+        "interrupted": int(interrupted),
+        "seed": str(seed),
+        "versions": json.dumps({**versions, "python": platform.python_version()}),
+        "platform": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _refuse_what_cannot_fit(goniometer: Goniometer, threads: int) -> None:
+    """Raise MemoryError if the sums and the labelled result need more than the machine has."""
+    entries = len(ORDERS) * (goniometer.detector.bins + 1) * len(goniometer.wavelengths)
+    incidences = len(goniometer.theta_i) * len(goniometer.phi_i)
+    need = 8 * entries * (incidences * 12 + 6 + 2 * threads)
+    have = _memory()
+    if have is not None and need > have:
+        raise MemoryError(
+            f"the result of {incidences} incidences x {goniometer.detector.bins} bins x {len(goniometer.wavelengths)} "
+            f"wavelengths needs about {need / 2**30:.1f} GiB of memory and this machine has {have / 2**30:.1f}: choose "
+            f"wider bins, or fewer incidences or wavelengths at a time"
+        )
+
+
+def _memory() -> int | None:
+    """Bytes of physical memory, where the system tells."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return None

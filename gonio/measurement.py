@@ -1,0 +1,411 @@
+"""A measured BRDF: labelled values with an error bar each, the exact sums they come from, and their file.
+
+`Measurement.dataset` is what one reads; `Measurement.sums` holds the integers that were counted. Everything in the
+former follows from the latter, so measurements of further specimens merge exactly, in any order.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import TypeAdapter
+
+from gonio.detectors import Apertures, Detector, HemisphereGrid
+from gonio.optics import Material
+from gonio.sphere import Vectors, angles, direction, half_vector, reflect
+from gonio.tally import MAX_PATHS, UNIT, Wide
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Floats = NDArray[np.float64]
+
+ORDERS = ("all", "1", "2", "3+")
+"""Numbers of surface hits; "all" is their sum."""
+
+FATES = ("launched", "escaped", "absorbed", "truncated", "lost")
+"""Where the light went: launched = escaped + absorbed + truncated + lost."""
+
+_WIDE = ("mc_scatter", "realisation_squares")
+_ADDITIVE = ("weight", "hits", "ledger", "paths", "realisations")
+_DETECTOR: TypeAdapter[Detector] = TypeAdapter(Detector)
+_MATERIAL: TypeAdapter[Material] = TypeAdapter(Material)
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """The result of a measurement.
+
+    `dataset` is an `xarray.Dataset` over order, theta_i, phi_i, theta_o, dphi (or `detector` for apertures) and
+    wavelength: `brdf` in 1/sr, `standard_error` (all that is uncertain), `standard_error_mc` (its Monte Carlo part),
+    `hits`, `albedo`, the energy ledger and their bounds. An incidence that was not measured has `paths` 0 and NaN.
+    """
+
+    sums: xr.Dataset
+    """Exact integer sums per incidence, in units of 2⁻³² path; the last bin is the whole hemisphere."""
+    attributes: dict[str, Any]
+    """Provenance: goniometer, detector, material, surface_statistics (JSON), seed, versions, isotropic, interrupted."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_dataset", _labelled(self.sums, self.detector, self.attributes))
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """Everything measured, with labels, units and provenance."""
+        return self._dataset  # type: ignore[attr-defined, no-any-return]
+
+    @property
+    def detector(self) -> Detector:
+        """The detector recipe."""
+        return _DETECTOR.validate_json(self.attributes["detector"])
+
+    @property
+    def wavelengths(self) -> Floats:
+        """Wavelengths in nm (W,)."""
+        return np.asarray(self.sums["wavelength"].values)
+
+    @property
+    def isotropic(self) -> bool:
+        """Whether only the relative azimuth matters: measured with `azimuth="average"`, or declared."""
+        return bool(self.attributes["isotropic"])
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the measurement was stopped before it was complete."""
+        return bool(self.attributes["interrupted"])
+
+    @property
+    def material(self) -> Material:
+        """The material recipe."""
+        return _MATERIAL.validate_json(self.attributes["material"])
+
+    @property
+    def surface_statistics(self) -> dict[str, float | None]:
+        """Statistics of the measured relief, the mean over realisations."""
+        statistics: dict[str, float | None] = json.loads(self.attributes["surface_statistics"])
+        return statistics
+
+    def incidences(self) -> Iterator[tuple[float, float]]:
+        """(theta_i, phi_i) in degrees of every incidence that was measured."""
+        paths = self.sums["paths"]
+        for i, theta in enumerate(paths["theta_i"].values):
+            for j, phi in enumerate(paths["phi_i"].values):
+                if paths.values[i, j]:
+                    yield float(theta), float(phi)
+
+    def declared_isotropic(self) -> Measurement:
+        """The same measurement, declared to depend on the relative azimuth only."""
+        return replace(self, attributes={**self.attributes, "isotropic": 1})
+
+    def albedo(self) -> xr.Dataset:
+        """Directional-hemispherical reflectance: `albedo` and `standard_error` over theta_i, phi_i, wavelength."""
+        chosen = self.dataset[["albedo", "albedo_standard_error"]].sel(order="all", drop=True)
+        return chosen.rename(albedo_standard_error="standard_error")
+
+    def ledger(self) -> xr.Dataset:
+        """Shares of the launched energy over theta_i, phi_i, wavelength: escaped, absorbed, truncated, lost."""
+        shares = self.dataset[list(FATES[1:])] / self.dataset["launched"]
+        return shares.assign_attrs(long_name="share of the launched energy")
+
+    def merge(self, other: Measurement) -> Measurement:
+        """This measurement and that of further specimens, as one: exact, associative, commutative.
+
+        Raises ValueError if the two were not measured in the same way.
+        """
+        for name in ("detector", "goniometer", "material"):
+            if self.attributes[name] != other.attributes[name]:
+                raise ValueError(f"measurements with a different {name} cannot be merged: measure both in the same way")
+        both = (self.sums["paths"] > 0) & (other.sums["paths"] > 0)
+        if (both & (self.sums["replicates"] != other.sums["replicates"])).any():
+            raise ValueError("measurements with different numbers of paths per specimen cannot be merged")
+        if int((self.sums["paths"] + other.sums["paths"]).max()) > MAX_PATHS:
+            raise ValueError(f"the merged measurement would hold more than {MAX_PATHS} paths per incidence")
+        return replace(
+            self,
+            sums=_added(self.sums, other.sums),
+            attributes=_merged_attributes(self, other),
+        )
+
+    def average(self, wi: ArrayLike, detector: Detector) -> Floats:
+        """Cos-weighted averages over the bins of `detector` for light from `wi` (3,), 1/sr, shape (bins, W).
+
+        At a measured incidence and with the measuring detector these are the measured values themselves; otherwise
+        they are averages of `eval`. Raises ValueError outside the measured range.
+        """
+        theta, phi = (float(a) for a in angles(wi))
+        nearest = self._incidence_at(theta, phi)
+        if nearest is not None and detector == self.detector:
+            values = self.dataset["brdf"].sel(order="all").values[nearest]
+            return np.array(values.reshape(-1, len(self.wavelengths)))
+        wo, weights = detector.quadrature(wi, nodes=4)
+        return np.asarray((weights[..., None] * self.eval(wi, wo)).sum(axis=1))
+
+    def eval(self, wi: ArrayLike, wo: ArrayLike) -> Floats:
+        """BRDF in 1/sr for light from `wi` (..., 3) seen from `wo` (..., 3), shape (..., W); order "all".
+
+        Between measured incidences the lobe is moved with the half vector: at each neighbouring incidence the value is
+        read where that incidence would mirror about the same half vector. Raises ValueError for apertures, outside the
+        measured range of incidences, and for another azimuth of the light unless the data are isotropic.
+        """
+        if not isinstance(self.detector, HemisphereGrid):
+            raise ValueError("values between apertures are not measured; use a HemisphereGrid to interpolate")
+        wi, wo = np.broadcast_arrays(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
+        theta, phi = angles(wi)
+        table = self.dataset["brdf"].sel(order="all").values
+        rows, share_t = _bracket(self.sums["theta_i"].values, theta, "theta_i")
+        if self.isotropic:
+            columns, share_p = (np.zeros(theta.shape, int),) * 2, np.zeros(theta.shape)
+        else:
+            columns, share_p = _bracket(self.sums["phi_i"].values, phi, "phi_i")
+        wh = half_vector(wi, wo)
+        value = np.zeros((*theta.shape, len(self.wavelengths)))
+        for row, weight_t in zip(rows, (1 - share_t, share_t), strict=True):
+            for column, weight_p in zip(columns, (1 - share_p, share_p), strict=True):
+                azimuth = phi if self.isotropic else self.sums["phi_i"].values[column]
+                measured_wi = direction(self.sums["theta_i"].values[row], azimuth)
+                # The light's own change of azimuth turns the half vector with it.
+                moved = reflect(measured_wi, _turned(wh, azimuth - phi))
+                share = weight_t * weight_p
+                value += share[..., None] * _read(table, self.detector, row, column, measured_wi, moved, wo)
+        return np.where((wo[..., 2] > 0)[..., None], value, 0.0)
+
+    def _incidence_at(self, theta: float, phi: float) -> tuple[int, int] | None:
+        rows = np.flatnonzero(np.abs(self.sums["theta_i"].values - theta) < 1e-6)
+        apart = np.abs(self.sums["phi_i"].values - phi) % 360
+        columns = np.flatnonzero((np.minimum(apart, 360 - apart) < 1e-6) | (theta < 1e-6))
+        return (int(rows[0]), int(columns[0])) if rows.size and columns.size else None
+
+
+def _turned(w: Vectors, degrees: Floats) -> Vectors:
+    a = np.radians(degrees)
+    c, s = np.cos(a), np.sin(a)
+    x, y, z = np.moveaxis(w, -1, 0)
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
+
+
+def _bracket(nodes: Floats, values: Floats, name: str) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Floats]:
+    """Indices of the nodes below and above `values`, and how far between them, 0 to 1."""
+    slack = 1e-6
+    outside = (values < nodes[0] - slack) | (values > nodes[-1] + slack)
+    if outside.any():
+        raise ValueError(
+            f"{name} = {values[outside].flat[0]:g} lies outside the measured range {nodes[0]:g} to {nodes[-1]:g} "
+            f"degrees: measure it, or declare the data isotropic if only the azimuth differs"
+        )
+    lower = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, max(0, len(nodes) - 2))
+    upper = np.minimum(lower + 1, len(nodes) - 1)
+    width = np.where(upper > lower, nodes[upper] - nodes[lower], 1.0)
+    return (lower, upper), np.clip((values - nodes[lower]) / width, 0.0, 1.0)
+
+
+def _read(
+    table: Floats,
+    grid: HemisphereGrid,
+    row: NDArray[np.intp],
+    column: NDArray[np.intp],
+    wi: Vectors,
+    wo: Vectors,
+    fallback: Vectors,
+) -> Floats:
+    """`table` (theta_i, phi_i, theta_o, dphi, W) bilinearly at `wo`, or at `fallback` where that is not above."""
+    wo = np.where((wo[..., 2] > 0)[..., None], wo, fallback)
+    theta, phi = angles(wo)
+    rings, sectors = grid.shape
+    dphi = (phi - angles(wi)[1]) % 360
+    at = np.interp(theta, grid.theta, np.arange(rings))
+    ring = np.minimum(at.astype(int), rings - 2)
+    t = at - ring
+    around = dphi / 360 * sectors
+    sector = np.floor(around).astype(int)
+    p = around - sector
+    value = np.zeros((*theta.shape, table.shape[-1]))
+    for i, weight_t in ((ring, 1 - t), (ring + 1, t)):
+        for j, weight_p in ((sector % sectors, 1 - p), ((sector + 1) % sectors, p)):
+            value += (weight_t * weight_p)[..., None] * table[row, column, i, j]
+    return value
+
+
+def _added(a: xr.Dataset, b: xr.Dataset) -> xr.Dataset:
+    """Sums of two measurements: plain integers, and 128-bit ones with their carry."""
+    total = a.copy()
+    for name in _ADDITIVE:
+        total[name] = a[name] + b[name]
+    total["replicates"] = np.maximum(a["replicates"], b["replicates"])
+    for name in _WIDE:
+        wide = Wide(a[f"{name}_high"].values.copy(), a[f"{name}_low"].values.copy())
+        wide.add(Wide(b[f"{name}_high"].values, b[f"{name}_low"].values))
+        total[f"{name}_high"] = (a[f"{name}_high"].dims, wide.high)
+        total[f"{name}_low"] = (a[f"{name}_low"].dims, wide.low)
+    return total
+
+
+def _merged_attributes(a: Measurement, b: Measurement) -> dict[str, Any]:
+    """Attributes of `a`, with surface statistics averaged over the realisations of both."""
+    first, second = a.surface_statistics, b.surface_statistics
+    n, m = int(a.sums["realisations"].max()), int(b.sums["realisations"].max())
+    mean = {
+        key: None if value is None or second.get(key) is None else (n * value + m * second[key]) / (n + m)  # type: ignore[operator]
+        for key, value in first.items()
+    }
+    flags = {"isotropic": int(a.isotropic and b.isotropic), "interrupted": int(a.interrupted or b.interrupted)}
+    return {**a.attributes, **flags, "surface_statistics": json.dumps(mean)}
+
+
+def _labelled(sums: xr.Dataset, detector: Detector, attributes: dict[str, Any]) -> xr.Dataset:
+    """The dataset that one reads, from the sums that were counted."""
+    import xarray as xr
+
+    values, mc, whole = _estimates(sums)
+    area = np.append(detector.projected_solid_angles(), 1.0)[:, None]
+    incidence = ("theta_i", "phi_i")
+    bin_dims = ("theta_o", "dphi") if isinstance(detector, HemisphereGrid) else ("detector",)
+    dataset = xr.Dataset(coords={"order": list(ORDERS), **{d: sums[d] for d in (*incidence, "wavelength")}})
+    shape = detector.shape
+
+    def binned(x: NDArray[Any]) -> NDArray[Any]:
+        """(theta_i, phi_i, order, bin, ...) to (order, theta_i, phi_i, *bins, ...), without the hemisphere."""
+        front = np.moveaxis(x[:, :, :, :-1], 2, 0)
+        return front.reshape(*front.shape[:3], *shape, *front.shape[4:])
+
+    per_bin = ("order", *incidence, *bin_dims, "wavelength")
+    for name, x in (("brdf", values), ("standard_error", whole), ("standard_error_mc", mc)):
+        dataset[name] = (per_bin, binned(x / area))
+        suffix = name.removeprefix("brdf")
+        total = (("order", *incidence, "wavelength"), np.moveaxis(x[:, :, :, -1], 2, 0))
+        dataset[f"albedo_{suffix}" if suffix else "albedo"] = total
+    dataset["hits"] = (per_bin[:-1], binned(sums["hits"].values))
+    dataset["projected_solid_angle"] = (bin_dims, area[:-1, 0].reshape(shape))
+    for fate, name in enumerate(FATES):
+        dataset[name] = ((*incidence, "wavelength"), sums["ledger"].values[:, :, fate])
+    for name in ("paths", "realisations", "replicates"):
+        dataset[name] = sums[name]
+    realisations, pilot = sums["realisations"], int(sums.attrs["pilot"])
+    dataset["degrees_of_freedom_mc"] = realisations * (pilot - 1)
+    dataset["degrees_of_freedom"] = xr.where(realisations > 1, realisations - 1, pilot - 1)
+    _describe(dataset, detector)
+    return dataset.assign_attrs(attributes)
+
+
+def _estimates(sums: xr.Dataset) -> tuple[Floats, Floats, Floats]:
+    """Mean share of the launched light in every bin, its Monte Carlo and its whole standard error.
+
+    Arrays (theta_i, phi_i, order, bin, W). Per realisation the replicates' scatter r Σx² - (Σx)² gives the variance of
+    one replicate; several realisations scatter by both noises together.
+    """
+    expand = (slice(None), slice(None), None, None, None)
+    paths = sums["paths"].values[expand].astype(np.float64)
+    count = sums["realisations"].values[expand].astype(np.float64)
+    replicates = sums["replicates"].values[expand].astype(np.float64)
+    pilot = int(sums.attrs["pilot"])
+    total = sums["weight"].values
+    squares = {name: Wide(sums[f"{name}_high"].values, sums[f"{name}_low"].values) for name in _WIDE}
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = 1.0 / (paths * UNIT)
+        variance = squares["mc_scatter"].floats() / (pilot * (pilot - 1))
+        mc = np.sqrt(variance * replicates) * scale
+        whole = mc
+        if (count > 1).any():
+            scatter = np.zeros(total.shape)
+            for k in np.unique(sums["realisations"].values[sums["realisations"].values > 1]):
+                chosen = sums["realisations"].values == k
+                part = Wide(*(np.ascontiguousarray(half[chosen]) for half in squares["realisation_squares"]))
+                scatter[chosen] = part.scatter(np.ascontiguousarray(total[chosen]), int(k)).floats()
+            whole = np.where(count > 1, np.sqrt(scatter / (count - 1)) * scale, mc)
+        return total * scale, mc, whole
+
+
+_UNITS = {
+    "brdf": ("sr-1", "bidirectional reflectance distribution function, cos-weighted bin average"),
+    "standard_error": ("sr-1", "standard error of brdf: Monte Carlo and realisation noise"),
+    "standard_error_mc": ("sr-1", "standard error of brdf: Monte Carlo noise alone"),
+    "albedo": ("1", "directional-hemispherical reflectance"),
+    "albedo_standard_error": ("1", "standard error of albedo: Monte Carlo and realisation noise"),
+    "albedo_standard_error_mc": ("1", "standard error of albedo: Monte Carlo noise alone"),
+    "hits": ("1", "paths that arrived in the bin"),
+    "projected_solid_angle": ("sr", "integral of cos(theta_o) over the bin"),
+    "paths": ("1", "paths launched, all realisations"),
+    "realisations": ("1", "specimens measured"),
+    "replicates": ("1", "independent randomised replicates per realisation"),
+    "degrees_of_freedom": ("1", "of standard_error, for Student's t"),
+    "degrees_of_freedom_mc": ("1", "of standard_error_mc, for Student's t"),
+    "order": ("1", "number of surface hits"),
+    "theta_i": ("degree", "polar angle of the direction to the light"),
+    "phi_i": ("degree", "azimuth of the direction to the light"),
+    "theta_o": ("degree", "polar angle of the direction to the detector"),
+    "phi_o": ("degree", "azimuth of the direction to the detector"),
+    "dphi": ("degree", "phi_o - phi_i: 0 on the lamp's side, 180 on the mirror's"),
+    "wavelength": ("nm", "wavelength in vacuum"),
+    **{name: ("2-32 path", f"{name} energy") for name in FATES},
+}
+
+
+def _describe(dataset: xr.Dataset, detector: Detector) -> None:
+    """Coordinates of the bins, their bounds, units and names."""
+    if isinstance(detector, HemisphereGrid):
+        dataset["theta_o"], dataset["dphi"] = ("theta_o", detector.theta), ("dphi", detector.dphi)
+        edges = {"theta_o": detector.theta_edges, "dphi": detector.dphi_edges}
+        for name, edge in edges.items():
+            dataset[f"{name}_bounds"] = ((name, "bounds"), np.stack([edge[:-1], edge[1:]], axis=1))
+    elif isinstance(detector, Apertures):
+        theta, phi = np.array(detector.directions).T
+        dataset.coords["theta_o"], dataset.coords["phi_o"] = ("detector", theta), ("detector", phi)
+    for name, (unit, long_name) in _UNITS.items():
+        if name in dataset.variables:
+            dataset[name].attrs.update(units=unit, long_name=long_name)
+    if isinstance(detector, HemisphereGrid):
+        for name in ("theta_o", "dphi"):
+            dataset[name].attrs["bounds"] = f"{name}_bounds"
+    dataset["wavelength"].attrs["standard_name"] = "radiation_wavelength"
+    dataset["brdf"].attrs["ancillary_variables"] = "standard_error standard_error_mc hits"
+
+
+def save(measurement: Measurement, path: str | Path) -> Path:
+    """Write a measurement as netCDF-4: the dataset, and the group `sums` that makes it merge exactly.
+
+    The file appears when it is complete, under a temporary name until then.
+    """
+    path = Path(path)
+    with _temporary(path) as scratch:
+        packed = {"zlib": True, "complevel": 1, "shuffle": True}
+        for group, dataset, mode in ((None, measurement.dataset, "w"), ("sums", measurement.sums, "a")):
+            encoding = {name: packed for name, variable in dataset.data_vars.items() if variable.ndim > 3}
+            dataset.to_netcdf(scratch, mode=mode, group=group, engine="h5netcdf", encoding=encoding)  # type: ignore[call-overload]
+    return path
+
+
+def load(path: str | Path) -> Measurement:
+    """Read a measurement that `save` wrote. Raises ValueError in one sentence for anything else."""
+    import xarray as xr
+
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such file")
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as dataset:
+            attributes = dict(dataset.attrs)
+        with xr.open_dataset(path, group="sums", engine="h5netcdf") as sums:
+            return Measurement(sums.load(), attributes)
+    except (OSError, KeyError, ValueError) as error:
+        raise ValueError(f"{path}: not a measurement that gonio wrote, or it is damaged ({error})") from None
+
+
+@contextlib.contextmanager
+def _temporary(path: Path) -> Iterator[Path]:
+    """A name beside `path` that becomes `path` on success and leaves nothing behind otherwise."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    scratch = Path(name)
+    try:
+        yield scratch
+        scratch.replace(path)
+    finally:
+        scratch.unlink(missing_ok=True)
