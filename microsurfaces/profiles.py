@@ -133,8 +133,8 @@ class VGrooves:
     @model_validator(mode="after")
     def _one_slope(self) -> VGrooves:
         if (self.m is None) == (self.angle is None):
-            found = "neither" if self.m is None else f"m = {self.m:g} and angle = {self.angle:g}"
-            raise ValueError(f"found {found}: give either m (a distribution of slopes) or angle (one slope)")
+            found = "m is missing" if self.m is None else f"m = {self.m:g} and angle = {self.angle:g}"
+            raise ValueError(f"{found}: give either m (a distribution of slopes) or angle (one slope)")
         return self
 
     def build(self, seed: int, strip: int = 0, strips: int = 1) -> Mesh:

@@ -51,10 +51,11 @@ class Gaussian:
 
     @model_validator(mode="after")
     def _one_roughness(self) -> Gaussian:
-        given = tuple(name for name in ("alpha", "alpha_x", "alpha_y") if getattr(self, name) is not None)
-        if given not in {("alpha",), ("alpha_x", "alpha_y")}:
-            found = " and ".join(given) or "none of them"
-            raise ValueError(f"found {found}: give either alpha, or alpha_x and alpha_y together")
+        values = {"alpha": self.alpha, "alpha_x": self.alpha_x, "alpha_y": self.alpha_y}
+        given = {name: value for name, value in values.items() if value is not None}
+        if list(given) not in (["alpha"], ["alpha_x", "alpha_y"]):
+            found = " and ".join(f"{name} = {value:g}" for name, value in given.items()) or "alpha is missing"
+            raise ValueError(f"{found}: give either alpha alone, or alpha_x and alpha_y together")
         if self.side < 4 * max(self._axes()[1:]):
             raise ValueError(
                 f"side = {self.side:g} µm is less than 4 correlation lengths of {max(self._axes()[1:]):g} µm: "
