@@ -114,7 +114,7 @@ class VGrooves:
     A feel for the numbers: light leaves a groove of angle a after at most ceil(180 / (180 - 2 a)) hits. A result for
     the ensemble needs many grooves, paths/500 at the very least, paths/100 for a strict test, and many small tiles are
     better than one long strip: measure many realisations of 64 grooves. `build(seed, strip=k, strips=K)` for k in
-    range(K) stratifies the slopes over all K tiles jointly.
+    range(K) stratifies the slopes of each tile and of all K tiles together.
 
     References: K. E. Torrance and E. M. Sparrow, Theory for off-specular reflection from roughened surfaces,
     doi:10.1364/JOSA.57.001105; R. L. Cook and K. E. Torrance, A reflectance model for computer graphics,
@@ -138,10 +138,10 @@ class VGrooves:
         return self
 
     def build(self, seed: int, strip: int = 0, strips: int = 1) -> Mesh:
-        """One tile; or number `strip` of `strips` tiles whose slopes are stratified over all of them together."""
+        """One tile; or tile number `strip` of `strips` whose slopes are stratified over all of them together."""
         if not 0 <= strip < strips:
             raise ValueError(f"strip = {strip}: expected 0 to {strips - 1}, there are {strips} strips")
-        slopes = self._slopes(seed, strips)[strip * self.grooves : (strip + 1) * self.grooves]
+        slopes = self._slopes(seed, strips)[strip]
         profile = np.zeros((2 * self.grooves + 1, 2))
         profile[:, 0] = (np.arange(2 * self.grooves + 1) - self.grooves) / 2
         profile[1::2, 1] = -slopes / 2
@@ -149,13 +149,17 @@ class VGrooves:
         return Mesh(vertices, faces, (self.grooves * self.width,) * 2)
 
     def _slopes(self, seed: int, strips: int) -> Floats:
-        """tan of the facet angle of all grooves of all strips, (strips * grooves,)."""
-        count = strips * self.grooves
+        """tan of the facet angle of every groove of every strip, (strips, grooves).
+
+        The distribution is cut into as many equal shares as there are grooves; each strip has one slope of each share,
+        and the slopes that the strips have of one share are stratified in turn.
+        """
         if self.m is None:
-            return np.full(count, math.tan(math.radians(self.angle or 0.0)))
+            return np.full((strips, self.grooves), math.tan(math.radians(self.angle or 0.0)))
         random = np.random.Generator(np.random.Philox(seed))
-        u = np.minimum((np.arange(count) + random.random(count)) / count, 1 - 1e-4)
-        return random.permutation(self.m * np.sqrt(-np.log1p(-u)))
+        ranks = random.permuted(np.arange(self.grooves * strips).reshape(self.grooves, strips), axis=1).T
+        u = np.minimum((ranks + random.random(ranks.shape)) / ranks.size, 1 - 1e-4)
+        return random.permuted(self.m * np.sqrt(-np.log1p(-u)), axis=1)
 
 
 def _arc(centre: float, angles: Floats, sign: int) -> Floats:

@@ -132,7 +132,7 @@ def test_statistics_are_plain_finite_numbers_or_none(surface):
 
 
 def test_the_normal_distribution_weighs_one_over_the_plane(surface):
-    """∫ D cosθ dω = 1, the facets projected onto the plane; within a bin of 0.1° the cosine varies by less than that."""
+    """∫ D cosθ dω = 1, the facets projected onto the plane; in a bin of 0.1° the cosine varies by less than that."""
     D, theta, phi = surface.build(seed=1).normal_distribution(theta_bins=900, phi_bins=8)
     low, high = np.radians(theta[:-1]), np.radians(theta[1:])
     projected = (np.sin(high) ** 2 - np.sin(low) ** 2) / 2 * np.radians(360 / (len(phi) - 1))
