@@ -52,11 +52,10 @@ def fresnel_dielectric(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Array, Array]:
     that of the near one; they broadcast. Below 1 (light from inside) the reflection is total beyond the critical angle.
     """
     c, eta = np.broadcast_arrays(np.asarray(cos_i, np.float64), np.asarray(eta, np.float64))
-    cos_t = _cos_refracted(c, eta)
-    r_s = _ratio(c - eta * cos_t, c + eta * cos_t)
-    r_p = _ratio(eta * c - cos_t, eta * c + cos_t)
-    total = _sin2_refracted(c, eta) >= 1.0
-    return np.where(total & (eta != 1.0), 1.0, r_s**2), np.where(total & (eta != 1.0), 1.0, r_p**2)
+    q = _refracted(c, eta)
+    r_s, r_p = _ratio(c - q, c + q), _ratio(eta**2 * c - q, eta**2 * c + q)
+    total = (q == 0.0) & (eta < 1.0)
+    return np.where(total, 1.0, r_s**2), np.where(total, 1.0, r_p**2)
 
 
 def fresnel_transmittance(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Array, Array]:
@@ -65,11 +64,9 @@ def fresnel_transmittance(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Array, Arra
     T = eta cos_t / cos_i |t|^2 with Fresnel's amplitudes t, so that R + T = 1 is a law and not a definition.
     """
     c, eta = np.broadcast_arrays(np.asarray(cos_i, np.float64), np.asarray(eta, np.float64))
-    cos_t = _cos_refracted(c, eta)
-    power = 4.0 * eta * c * cos_t
-    t_s, t_p = _ratio(power, (c + eta * cos_t) ** 2), _ratio(power, (eta * c + cos_t) ** 2)
-    identity = eta == 1.0
-    return np.where(identity, 1.0, t_s), np.where(identity, 1.0, t_p)
+    q = _refracted(c, eta)
+    t_s, t_p = _ratio(4.0 * c * q, (c + q) ** 2), _ratio(4.0 * eta**2 * c * q, (eta**2 * c + q) ** 2)
+    return np.where(eta == 1.0, 1.0, t_s), np.where(eta == 1.0, 1.0, t_p)
 
 
 def fresnel_conductor(cos_i: ArrayLike, eta: ArrayLike, k: ArrayLike) -> tuple[Array, Array]:
@@ -80,7 +77,7 @@ def fresnel_conductor(cos_i: ArrayLike, eta: ArrayLike, k: ArrayLike) -> tuple[A
     c, eta, k = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (cos_i, eta, k)))
     c2, s2 = c * c, 1.0 - c * c
     # (a + i b)^2 = (eta + i k)^2 - sin^2; the smaller of a and b comes from their product eta k, not from a difference.
-    real = eta * eta - k * k - s2
+    real = (eta - 1.0) * (eta + 1.0) + c2 - k * k
     modulus = np.hypot(real, 2.0 * eta * k)
     larger = (modulus + np.abs(real)) / 2.0
     a = np.sqrt(np.where(real >= 0.0, larger, _ratio((eta * k) ** 2, larger)))
@@ -89,13 +86,9 @@ def fresnel_conductor(cos_i: ArrayLike, eta: ArrayLike, k: ArrayLike) -> tuple[A
     return r_s, r_s * _ratio(along - 2.0 * a * c * s2, along + 2.0 * a * c * s2)
 
 
-def _sin2_refracted(c: Array, eta: Array) -> Array:
-    return (1.0 - c * c) / (eta * eta)
-
-
-def _cos_refracted(c: Array, eta: Array) -> Array:
-    """Cosine of the angle of refraction, 0 where the reflection is total."""
-    return np.sqrt(np.maximum(1.0 - _sin2_refracted(c, eta), 0.0))
+def _refracted(c: Array, eta: Array) -> Array:
+    """eta times the cosine of the angle of refraction, 0 where the reflection is total; exact for eta close to 1."""
+    return np.sqrt(np.maximum((eta - 1.0) * (eta + 1.0) + c * c, 0.0))
 
 
 def _ratio(numerator: Array, denominator: Array) -> Array:
@@ -167,7 +160,7 @@ def citation(name: str) -> str:
 def _unknown(name: str, known: Mapping[str, str]) -> str:
     """The sentence for a name that is not in `known`, with the nearest symbol or English name if there is one."""
     spellings = {word.lower(): symbol for symbol, english in known.items() for word in (symbol, english)}
-    near = difflib.get_close_matches(name.lower(), spellings, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(name.lower(), spellings, n=1, cutoff=0.75)
     hint = f"did you mean {spellings[near[0]]!r}?" if near else "or give numbers instead of a name."
     return f"{name!r} has no table of refractive indices here; choose one of {', '.join(known)}: {hint}"
 
@@ -191,10 +184,11 @@ class Mirror:
 class Conductor:
     """A metal, opaque and smooth: Fresnel's equations with the complex refractive index eta + i k.
 
-    Named metals (Ag, Al, Au, Cr, Cu, Fe, Ni, Ti, W) follow published tables over the visible range and beyond;
-    `eta` and `k` instead of a name hold at every wavelength. Gold reflects 37 % of blue light and 95 % of red, chromium
-    two thirds of either; all metals tend to 1 at grazing incidence, after a shallow minimum near 75 to 85 degrees.
-    Source: M. Born and E. Wolf, Principles of Optics (7th ed., 1999), 14.2, doi:10.1017/CBO9781139644181.
+    Named metals (Ag, Al, Au, Cr, Cu, Fe, Ni, Ti, W) follow published tables over the visible range and beyond; `eta`
+    and `k` instead of a name hold at every wavelength. At normal incidence gold reflects 41 % of blue light (450 nm)
+    and 96 % of red (650 nm), chromium 55 % of green; every metal tends to 1 at grazing incidence, past a shallow
+    minimum near 75 to 85 degrees. Source: M. Born and E. Wolf, Principles of Optics (7th ed., 1999), 14.2,
+    doi:10.1017/CBO9781139644181.
     """
 
     name: str | None = None
