@@ -70,6 +70,11 @@ def members(annotation: Any) -> dict[str, type]:
     return {annotation.__name__: annotation} if hasattr(annotation, "__pydantic_fields__") else {}
 
 
+def parameters(owner: type | None) -> dict[str, FieldInfo]:
+    """The parameters of a recipe by name, without its kind."""
+    return {name: field for name, field in getattr(owner, "__pydantic_fields__", {}).items() if name != "kind"}
+
+
 def sentences(error: ValidationError, expected: Any) -> list[str]:
     """One sentence for each mistake in what should have been an `expected` (a recipe or a union of them).
 
@@ -114,22 +119,17 @@ def _place(location: tuple[str | int, ...], expected: Any) -> _Place:
             key += f"[{part}]"
             arms = get_args(expected)
             expected = arms[part] if part < len(arms) and arms[-1] is not Ellipsis else next(iter(arms), None)
-        else:
+        elif known or not key:
             owner = next(iter(known.values()), owner)
-            fields = _fields(owner)
+            fields = parameters(owner)
             expected = fields[part].annotation if part in fields else None
             key = f"{key}.{part}" if key else part
     return _Place(key, expected, owner)
 
 
-def _fields(owner: type | None) -> dict[str, FieldInfo]:
-    """The parameters of a recipe."""
-    return {name: field for name, field in getattr(owner, "__pydantic_fields__", {}).items() if name != "kind"}
-
-
 def _sentence(mistake: ErrorDetails, place: _Place) -> str:
     """The sentence of one of pydantic's errors."""
-    key, fields, tags = place.key, _fields(place.owner), list(members(place.expected))
+    key, fields, tags = place.key, parameters(place.owner), list(members(place.expected))
     value, context = mistake["input"], mistake.get("ctx", {})
     word = key.rpartition(".")[2]
     kind = f"{key}.kind".removeprefix(".")
@@ -143,20 +143,22 @@ def _sentence(mistake: ErrorDetails, place: _Place) -> str:
         case "union_tag_not_found" if isinstance(value, Mapping):
             text = f"{kind} is missing: choose {_choice(tags)}"
         case "union_tag_not_found" | "dict_type" | "model_attributes_type":
-            text = f"{key} = {_show(value)}: must be a table whose kind is {_choice(tags)}"
+            text = f"{key} = {as_toml(value)}: must be a table whose kind is {_choice(tags)}"
         case "union_tag_invalid":
             tag = context["tag"]
-            text = f"{kind} = {_show(tag)}: unknown; choose {_choice(tags)}{did_you_mean(tag, tags)}"
+            text = f"{kind} = {as_toml(tag)}: unknown; choose {_choice(tags)}{did_you_mean(tag, tags)}"
         case "value_error" if str(context["error"]).partition(" ")[0] in fields:
             text = f"{key}.{context['error']}".removeprefix(".")
         case "value_error" if not key or isinstance(value, Mapping | ArgsKwargs):
             text = f"{key}: {context['error']}".removeprefix(": ")
         case "value_error":
-            text = f"{key} = {_show(value)}: {str(context['error']).removeprefix(_show(value)).lstrip()}"
+            text = f"{key} = {as_toml(value)}: {str(context['error']).removeprefix(as_toml(value)).lstrip()}"
         case "dataclass_type":
-            text = f"{key} = {_show(value)}: must be a table with the parameters of {_choice(tags)}".removeprefix(" = ")
+            text = f"{key} = {as_toml(value)}: must be a table with the parameters of {_choice(tags)}".removeprefix(
+                " = "
+            )
         case other:
-            text = f"{key} = {_show(value)}: must be {_expectation(other, context) or mistake['msg']}"
+            text = f"{key} = {as_toml(value)}: must be {_expectation(other, context) or mistake['msg']}"
     return text if text.endswith((".", "?", "!")) else text + "."
 
 
@@ -193,7 +195,7 @@ def _choice(names: Sequence[str]) -> str:
     return " or ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
 
 
-def _show(value: object) -> str:
+def as_toml(value: object) -> str:
     """A value as it stands in TOML, cut where it is long."""
     match value:
         case bool():
@@ -201,7 +203,7 @@ def _show(value: object) -> str:
         case Mapping():
             text = "{...}"
         case list() | tuple():
-            text = f"[{', '.join(map(_show, value[:6]))}{', ...' if len(value) > 6 else ''}]"
+            text = f"[{', '.join(map(as_toml, value[:6]))}{', ...' if len(value) > 6 else ''}]"
         case _:
             text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."

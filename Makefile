@@ -1,0 +1,40 @@
+# make demo    install into .venv and measure a gold surface: out/gold_beckmann/
+# make test    install what the tests need and run them
+# make check   the tests and everything a change is held to before it is shared
+# make bench   how many paths a second, against a bare Embree loop
+# make clean   remove what these made
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+
+.PHONY: demo test check bench clean
+
+demo: $(VENV)/demo
+	$(BIN)/gonio run configs/gold_beckmann.toml
+
+test: $(VENV)/test
+	$(BIN)/python -m pytest
+
+check: $(VENV)/dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+bench: $(VENV)/demo
+	$(BIN)/python benchmarks/speed.py
+
+clean:
+	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+# Installed in place, so that what runs and what is tested is what stands in this folder.
+$(VENV)/demo: EXTRA :=
+$(VENV)/test: EXTRA := [test]
+$(VENV)/dev: EXTRA := [dev]
+$(VENV)/demo $(VENV)/test $(VENV)/dev: pyproject.toml constraints.txt
+	@echo "Installing into $(VENV) (two minutes the first time) ..."
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(PIP) install --constraint constraints.txt --editable '.$(EXTRA)'
+	@touch $@

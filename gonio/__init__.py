@@ -1,0 +1,106 @@
+"""gonio, a virtual gonioreflectometer: rough surfaces in, measured BRDFs with an error bar on every bin out.
+
+>>> import gonio, microsurfaces as ms
+>>> relief = ms.Gaussian(alpha=0.3).build(seed=1)
+>>> scene = gonio.Scene(relief, gonio.Conductor("Au"))
+>>> measurement = gonio.Goniometer(theta_i=(0, 30, 60)).measure(scene, seed=7)
+
+Names are imported when they are first used, so that `import gonio` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gonio import formats, models, plots
+    from gonio.compare import Verdict, compare
+    from gonio.detectors import Apertures, HemisphereGrid
+    from gonio.experiment import InputError, Experiment
+    from gonio.formats import export
+    from gonio.goniometer import Goniometer
+    from gonio.measurement import Measurement, load, save
+    from gonio.models import CookTorrance, Lambert, Microfacet
+    from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
+    from gonio.scene import Scene
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Apertures": "gonio.detectors",
+    "InputError": "gonio.experiment",
+    "Conductor": "gonio.optics",
+    "CookTorrance": "gonio.models",
+    "Dielectric": "gonio.optics",
+    "Experiment": "gonio.experiment",
+    "Goniometer": "gonio.goniometer",
+    "HemisphereGrid": "gonio.detectors",
+    "Lambert": "gonio.models",
+    "Lambertian": "gonio.optics",
+    "Measurement": "gonio.measurement",
+    "Microfacet": "gonio.models",
+    "Mirror": "gonio.optics",
+    "Scene": "gonio.scene",
+    "Verdict": "gonio.compare",
+    "compare": "gonio.compare",
+    "export": "gonio.formats",
+    "load": "gonio.measurement",
+    "save": "gonio.measurement",
+}
+
+_MODULES = ("formats", "models", "plots")
+
+__all__ = [
+    "Apertures",
+    "InputError",
+    "Conductor",
+    "CookTorrance",
+    "Dielectric",
+    "Experiment",
+    "Goniometer",
+    "HemisphereGrid",
+    "Lambert",
+    "Lambertian",
+    "Measurement",
+    "Microfacet",
+    "Mirror",
+    "Scene",
+    "Verdict",
+    "__version__",
+    "compare",
+    "export",
+    "formats",
+    "load",
+    "models",
+    "plots",
+    "save",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its module (PEP 562)."""
+    if name in _MODULES:
+        return importlib.import_module(f"gonio.{name}")
+    if name not in _HOME:
+        raise AttributeError(f"module 'gonio' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return __all__
+
+
+class _Package(ModuleType):
+    """The package itself, in which `compare` stays the function when the module of that name is imported."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name == "compare" and isinstance(value, ModuleType):
+            value = value.compare
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

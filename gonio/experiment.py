@@ -1,0 +1,277 @@
+"""An experiment: surface, material, instrument and seed in one TOML file, told in sentences when wrong, and run."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+import tomli_w
+from pydantic import Field, TypeAdapter, ValidationError, field_validator, model_validator
+
+from gonio.goniometer import Goniometer, Progress
+from gonio.measurement import Measurement
+from gonio.models import Model, matching
+from gonio.optics import Conductor, Dielectric, Material
+from gonio.scene import Scene
+from microsurfaces import HeightField, Mesh, Surface, VGrooves
+from microsurfaces.recipe import did_you_mean, members, recipe, sentences
+
+
+class InputError(ValueError):
+    """What was given cannot be run. `sentences` has one for each mistake: key, value, what was expected, what to do."""
+
+    def __init__(self, *sentences: str) -> None:
+        """An error of these sentences."""
+        super().__init__("\n".join(sentences))
+        self.sentences = sentences
+
+
+@recipe
+class Experiment:
+    """Everything that decides the numbers of a measurement; with the same package versions, to the last bit.
+
+    Realisation k of the surface is built and measured with seeds derived from (`seed`, k) alone, so that a longer
+    series begins with the shorter one. One realisation speaks of that specimen only; several speak of the class of
+    surfaces, with both noises in the standard errors.
+    """
+
+    surface: Surface
+    """The relief: a table [surface] with its kind."""
+    material: Material
+    """What the surface is made of: a table [material] with its kind."""
+    goniometer: Goniometer = Goniometer()
+    """The instrument: a table [goniometer]."""
+    title: str = ""
+    """One line for people."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Decides every random number, of surfaces and light."""
+    realisations: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    """How many different specimens of the surface are measured; `paths` is for each of them."""
+    compare: tuple[str, ...] | None = None
+    """Closed-form models to compare with, their roughness measured from the facets; if left out, those that fit."""
+
+    @field_validator("compare")
+    @classmethod
+    def _known_models(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        for name in names or ():
+            model_named(name)
+        return names
+
+    @model_validator(mode="after")
+    def _material_covers_wavelengths(self) -> Self:
+        if isinstance(self.material, Conductor | Dielectric):
+            try:
+                self.material.refractive_index(self.goniometer.wavelengths)
+            except ValueError as error:
+                raise ValueError(f"goniometer.wavelengths: {error}") from None
+        return self
+
+    @classmethod
+    def read(cls, path: str | Path, overrides: Iterable[str] = ()) -> Self:
+        """The experiment of a TOML file, with `overrides` such as "surface.alpha=0.2" put in.
+
+        Files that the experiment names are looked for beside the TOML file. Raises `InputError` with one sentence for
+        each mistake.
+        """
+        path = Path(path)
+        table = _read_toml(path)
+        mistakes = [sentence for override in overrides for sentence in _override(table, override)]
+        _resolve_paths(table, path.absolute().parent)
+        try:
+            experiment = TypeAdapter(cls).validate_json(json.dumps(table, default=str))
+        except ValidationError as error:
+            mistakes += sentences(error, cls)
+        if mistakes:
+            raise InputError(*mistakes)
+        return experiment
+
+    def to_dict(self) -> dict[str, Any]:
+        """The experiment as plain tables, every default written out; `kind` first, and only where there is a choice."""
+        table = TypeAdapter(type(self)).dump_python(self, mode="json", exclude_none=True)
+        del table["kind"], table["goniometer"]["kind"]
+        scalars = {key: value for key, value in table.items() if not isinstance(value, dict)}
+        return scalars | {key: _kind_first(value) for key, value in table.items() if isinstance(value, dict)}
+
+    def write(self, path: str | Path) -> None:
+        """Write the resolved experiment as TOML; run again it gives the same numbers to the last bit."""
+        Path(path).write_text(tomli_w.dumps(self.to_dict()), encoding="utf-8")
+
+    def relief(self, realisation: int = 0) -> HeightField | Mesh:
+        """Specimen number `realisation` of the surface. Raises `InputError` if it cannot be built."""
+        try:
+            if isinstance(self.surface, VGrooves):
+                # The slopes of all tiles together follow the distribution: one seed, one tile each.
+                return self.surface.build(self._seed("surface"), strip=realisation, strips=self.realisations)
+            return self.surface.build(self._seed("surface", realisation))
+        except (ValueError, OSError) as error:
+            raise InputError(f"surface: {error}") from error
+
+    def scene(self, realisation: int = 0) -> Scene:
+        """Specimen number `realisation`, ready to be measured. Raises `InputError` if it cannot be."""
+        relief = self.relief(realisation)
+        try:
+            return Scene(relief, self.material)
+        except ValueError as error:
+            raise InputError(f"surface: {error}") from error
+
+    def run(self, threads: int | None = None, progress: Progress | None = None) -> Measurement:
+        """Build, measure and merge all realisations.
+
+        Ctrl-C keeps what has been measured, whole realisations and incidences, and marks it `interrupted`. With a
+        `target_error` every realisation takes as many replicates as the first one needed. Raises `InputError` for a
+        surface that cannot be built, MemoryError for a result that cannot fit.
+        """
+        merged: Measurement | None = None
+        replicates = None
+        whole = _Whole(progress, self.realisations)
+        for k in range(self.realisations):
+            try:
+                part = self.goniometer.measure(self.scene(k), self._seed("light", k), threads, whole, replicates)
+            except KeyboardInterrupt:
+                if merged is None:
+                    raise
+                return self._described(merged, interrupted=True)
+            merged = part if merged is None else merged.merge(part)
+            if part.interrupted:
+                break
+            if self.goniometer.target_error is not None:
+                replicates = merged.sums["replicates"].values.ravel().tolist()
+            whole.next()
+        assert merged is not None
+        return self._described(merged, merged.interrupted)
+
+    def _described(self, measurement: Measurement, interrupted: bool) -> Measurement:
+        """The measurement with its provenance: this experiment, the versions and the processor that made it."""
+        provenance = {
+            "title": self.title or measurement.attributes["title"],
+            "experiment": json.dumps(self.to_dict()),
+            "seed": str(self.seed),
+            "instruction_set": _instruction_set(),
+            "interrupted": int(interrupted),
+        }
+        return replace(measurement, attributes=measurement.attributes | provenance)
+
+    def _seed(self, purpose: str, realisation: int = 0) -> int:
+        """A 64-bit seed that depends on the experiment's seed, the purpose and the realisation only."""
+        entropy = (self.seed, realisation, *purpose.encode())
+        return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0])
+
+
+@dataclass
+class _Whole:
+    """Turns the progress of one realisation into that of all."""
+
+    report: Progress | None
+    realisations: int
+    finished: int = 0
+    rays_before: int = 0
+    rays: int = 0
+
+    def __call__(self, done: int, total: int, rays: int) -> None:
+        self.rays = self.rays_before + rays
+        if self.report is not None:
+            self.report(self.finished * total + done, self.realisations * total, self.rays)
+
+    def next(self) -> None:
+        """The next realisation begins."""
+        self.finished += 1
+        self.rays_before = self.rays
+
+
+def _instruction_set() -> str:
+    """The processor that kernels are compiled for: the same versions give the same bits on the same one."""
+    from llvmlite import binding
+
+    return str(binding.get_host_cpu_name())
+
+
+def model_named(name: str) -> Any:
+    """The class of a closed-form model; an unknown name is a ValueError that lists them."""
+    known = members(Model)
+    if name not in known:
+        raise ValueError(f"{name} is no model here; choose {', '.join(known)}{did_you_mean(name, known)}")
+    return known[name]
+
+
+def models_for(measurement: Measurement, names: Iterable[str] | None = None) -> tuple[Any, ...]:
+    """The models called `names`, or those that fit, with the measured specimen's own roughness and material."""
+    statistics, material = measurement.surface_statistics, measurement.material
+    if names is None:
+        return matching(statistics, material)
+    return tuple(model_named(name).of(statistics, material) for name in names)
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; `InputError` if there are none."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file{_nearby(path)}") from None
+    except IsADirectoryError:
+        raise InputError(f"{path} is a folder: give a TOML file.") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not text: an experiment is a TOML file in UTF-8.") from None
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        message, _, place = str(error).removesuffix(")").rpartition(" (at ")
+        raise InputError(f"{path}, {place}: {message[0].lower()}{message[1:]}.") from None
+    except RecursionError:
+        raise InputError(f"{path}: lists or tables are nested too deeply.") from None
+    if not table:
+        raise InputError(f"{path} is empty: an experiment needs at least the tables [surface] and [material].")
+    return table
+
+
+def _nearby(path: Path) -> str:
+    """A question that names the file probably meant, or a full stop."""
+    names = [other.name for other in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+    near = difflib.get_close_matches(path.with_suffix(".toml").name, names, n=1)
+    return f"; did you mean {path.with_name(near[0])}?" if near else "."
+
+
+def _override(table: dict[str, Any], override: str) -> list[str]:
+    """Put "key.key=value" into `table`; the mistakes in it, as sentences."""
+    key, equals, text = (part.strip() for part in override.partition("="))
+    if not equals or not re.fullmatch(r"[\w-]+(\.[\w-]+)*", key) or not text:
+        return [f"--set {override!r}: must be key=value, such as surface.alpha=0.2."]
+    *parents, name = key.split(".")
+    for parent in parents:
+        table = table.setdefault(parent, {})
+        if not isinstance(table, dict):
+            return [f"--set {override!r}: {parent} is a value, not a table."]
+    table[name] = _toml_value(text)
+    return []
+
+
+def _toml_value(text: str) -> Any:
+    """`text` read as a TOML value; what is none, such as a bare word, is text."""
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
+
+
+def _resolve_paths(table: Mapping[str, Any], folder: Path) -> None:
+    """Make every `path` in the surface's table absolute, in place; relative ones are beside the TOML file."""
+    for child in table.values():
+        if isinstance(child, dict):
+            if isinstance(child.get("path"), str):
+                child["path"] = str(folder / child["path"])
+            _resolve_paths(child, folder)
+
+
+def _kind_first(table: dict[str, Any]) -> dict[str, Any]:
+    """The same table with its kind on top."""
+    ordered = {"kind": table["kind"]} | table if "kind" in table else table
+    return {key: _kind_first(value) if isinstance(value, dict) else value for key, value in ordered.items()}
