@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -139,12 +140,16 @@ def save_surface(relief: HeightField | Mesh, path: str | Path) -> None:
         raise ValueError(f"{path} has suffix {path.suffix!r}: expected one of {', '.join(_WRITERS)}")
     if isinstance(relief, Mesh) and path.suffix.lower() in (".npy", ".exr"):
         raise ValueError(f"{path}: a mesh is not a height map: save it as .ply or .stl")
+    if not path.parent.is_dir():
+        raise ValueError(f"{path} cannot be written: the folder {path.parent} does not exist, create it first")
     part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         save(relief, part)
         part.replace(path)
     except (OSError, RuntimeError) as error:
-        raise ValueError(f"{path} cannot be written ({error}): give a folder that exists and is writable") from error
+        raise ValueError(
+            f"{path} cannot be written ({error}): choose a place that is writable and has space"
+        ) from error
     finally:
         part.unlink(missing_ok=True)
 
@@ -220,6 +225,9 @@ def _read_png(path: Path, check: Check) -> tuple[NDArray[Any], dict[str, Any]]:
 
     types = {"I;16": np.uint16, "I;16B": np.uint16, "I": np.int32, "F": np.float32}
     with path.open("rb") as file:
+        head = file.read(24)  # signature and size: Pillow would warn of a large image before it could be refused
+        if head.startswith(b"\x89PNG") and len(head) == 24:
+            check(struct.unpack(">II", head[16:])[::-1], np.uint16)
         try:
             image = Image.open(file, formats=["PNG"])
         except (
@@ -259,7 +267,7 @@ def _read_exr(path: Path, check: Check) -> tuple[NDArray[Any], dict[str, Any]]:
 
     try:
         with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
-            header = file.header()
+            header = dict(file.header())  # closing empties it
         low, high = header["dataWindow"]
         names = [channel.name for channel in header["channels"]]
     except (RuntimeError, ValueError, KeyError) as error:

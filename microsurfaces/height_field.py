@@ -96,7 +96,8 @@ class HeightField:
     def statistics(self) -> Statistics:
         """Roughness of the tile: heights over the nodes, slopes over the facets, lengths from the correlation."""
         z = self.heights - self.heights.mean()
-        heights = height_fields(np.abs(z).mean(), *((z**k).mean() for k in (2, 3, 4)))
+        z2 = z * z
+        heights = height_fields(float(np.abs(z).mean()), *(float(power.mean()) for power in (z2, z2 * z, z2 * z2)))
         # Each edge bounds one lower and one upper facet, so that the mean over facets is the mean over edges.
         slopes = slope_moments(*(float(np.mean(self._edge_slopes(axis) ** 2)) for axis in (1, 0)))
         return Statistics(**heights, **slopes, **self._correlation_lengths())

@@ -277,9 +277,11 @@ def slope_density(
 def normal_density(normals: Floats, weights: Floats, theta_bins: int, phi_bins: int) -> tuple[Floats, Floats, Floats]:
     """Weight per solid angle of unit normals (m, 3) with z ≥ 0: (density, theta_edges, phi_edges) in degrees."""
     theta_edges, phi_edges = np.linspace(0, 90, theta_bins + 1), np.linspace(0, 360, phi_bins + 1)
-    theta = np.degrees(np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2]))
-    phi = np.degrees(np.arctan2(normals[:, 1], normals[:, 0])) % 360
-    sums = np.histogram2d(theta, phi, bins=(theta_edges, phi_edges), weights=weights)[0]
+    sums = np.zeros((theta_bins, phi_bins))
+    for start in range(0, len(normals), _BLOCK):
+        x, y, z = normals[start : start + _BLOCK].T
+        theta, phi = np.degrees(np.arctan2(np.hypot(x, y), z)), np.degrees(np.arctan2(y, x)) % 360
+        sums += np.histogram2d(theta, phi, bins=(theta_edges, phi_edges), weights=weights[start : start + _BLOCK])[0]
     solid_angles = -np.diff(np.cos(np.radians(theta_edges))) * np.radians(360 / phi_bins)
     return sums / solid_angles[:, None], theta_edges, phi_edges
 
