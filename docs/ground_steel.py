@@ -50,7 +50,7 @@ def instrument_blur(z: Heights, sigma: float) -> Heights:
     padded = np.pad(z, pad, mode="reflect")
     fx, fy = np.fft.rfftfreq(padded.shape[1]), np.fft.fftfreq(padded.shape[0])[:, None]
     response = np.exp(-2.0 * (np.pi * sigma / PIXEL_SIZE) ** 2 * (fx**2 + fy**2))
-    return np.fft.irfft2(np.fft.rfft2(padded) * response, s=padded.shape)[pad:-pad, pad:-pad]
+    return np.asarray(np.fft.irfft2(np.fft.rfft2(padded) * response, s=padded.shape)[pad:-pad, pad:-pad])
 
 
 def heights(seed: int = 1982) -> Heights:
@@ -58,7 +58,7 @@ def heights(seed: int = 1982) -> Heights:
     rng = np.random.default_rng(seed)
     z = grooves(rng, 420, 1.5, 1.6) + 0.4 * grooves(rng, 14, 9.0, 1.6) + fine_roughness(rng, 0.1, 0.75)
     z = instrument_blur(z, 0.45)
-    return z - z.min()
+    return np.asarray(z - z.min(), np.float64)
 
 
 def save(path: Path) -> None:

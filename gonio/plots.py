@@ -1,0 +1,765 @@
+"""Figures of a measurement: lobes in three dimensions, slices in the plane of incidence, maps of the hemisphere.
+
+The only importer of matplotlib and pyvista, both lazily. Every figure has the lamp on the left and the mirror direction
+on the right, says what its units are and shows the noise where it can. matplotlib is used through `Figure` objects and
+never through pyplot, so nothing global changes and no window opens. Files appear whole or not at all.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.formats import replacing
+from gonio.sphere import direction
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+    from scipy.sparse import csr_array
+
+    from gonio.detectors import Detector
+    from gonio.measurement import Measurement
+    from gonio.models import Model
+
+Array = NDArray[np.float64]
+PathLike = str | os.PathLike[str]
+
+PANELS = 6
+"""At most so many incidences share a figure."""
+LAMP, MIRROR, INK, PAPER = "#d98200", "#0072b2", "#333333", "#e9e9e6"
+"""The lamp, the mirror direction, lines and letters, the sample's plane: the same colours in every figure."""
+COLOURS, ERRORS = "viridis", "magma"
+"""Colour maps of values and of their errors."""
+SPARSE = 10
+"""Fewer hits than this say little; such bins are hatched where errors are shown."""
+
+
+# --- What is shown ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Incidence:
+    """One measured incidence: its angles in degrees and its part of the dataset."""
+
+    theta: float
+    phi: float
+    data: xr.Dataset
+
+    @property
+    def words(self) -> str:
+        return f"$\\theta_i$ = {self.theta:g}°, $\\phi_i$ = {self.phi:g}°"
+
+
+def _incidences(measurement: Measurement) -> tuple[list[_Incidence], str]:
+    """The measured incidences by azimuth and polar angle, evenly thinned to `PANELS`, and words that say so."""
+    data = measurement.dataset
+    measured = [(int(i), int(j)) for j, i in np.argwhere(data["paths"].transpose("phi_i", "theta_i").values > 0)]
+    if not measured:
+        raise ValueError("no incidence of this measurement was measured (paths = 0 in all of them): nothing to draw")
+    chosen = np.unique(np.linspace(0, len(measured) - 1, min(PANELS, len(measured))).round().astype(int))
+    incidences = [
+        _Incidence(float(data["theta_i"][i]), float(data["phi_i"][j]), data.isel(theta_i=i, phi_i=j))
+        for i, j in (measured[k] for k in chosen)
+    ]
+    return incidences, "" if len(chosen) == len(measured) else f"{len(chosen)} of {len(measured)} incidences"
+
+
+def _wavelength(measurement: Measurement, wanted: float | None) -> float:
+    """The measured wavelength nearest to `wanted`, or to the middle of the visible range, 550 nm."""
+    wavelengths = np.asarray(measurement.wavelengths, float)
+    return float(wavelengths[np.abs(wavelengths - (550.0 if wanted is None else wanted)).argmin()])
+
+
+def _has_hemisphere(measurement: Measurement) -> bool:
+    return "dphi" in measurement.dataset.dims
+
+
+def _shape(panels: int, incidences: Sequence[_Incidence]) -> tuple[int, int]:
+    """(rows, columns) of the panels; one row an azimuth where that comes out even."""
+    azimuths = len({incidence.phi for incidence in incidences})
+    columns = panels // azimuths if azimuths > 1 and panels % azimuths == 0 else panels
+    columns = columns if columns <= 3 else 2 if panels == 4 else 3
+    return -(-panels // columns), columns
+
+
+def _head(figure: Figure, measurement: Measurement, *parts: str) -> None:
+    """The measurement's title above what this figure shows, in as many lines as the width asks for."""
+    title = str(measurement.dataset.attrs.get("title", "")).strip()
+    shown = ", ".join(part for part in parts if part)
+    room = int(11 * figure.get_figwidth())
+    lines = [line for text in (title, shown) for line in textwrap.wrap(text, room)]
+    figure.suptitle("\n".join(lines).replace("$", r"\$"), fontsize=12, color=INK)
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=150)
+    FigureCanvasAgg(figure)
+    figure.set_layout_engine("constrained", h_pad=0.07, w_pad=0.05)
+    return figure
+
+
+def _save(figure: Figure, path: PathLike) -> Path:
+    path = Path(path)
+    known = figure.canvas.get_supported_filetypes()
+    if path.suffix.lower().removeprefix(".") not in known:
+        raise ValueError(f"cannot draw into {str(path)!r}: the suffixes are {', '.join('.' + name for name in known)}")
+    with replacing(path) as temporary:
+        figure.savefig(temporary, facecolor="white")
+    return path
+
+
+# --- Lobes -----------------------------------------------------------------------------------------------------------
+
+PATCH = 2.5
+"""Degrees over which a lobe is averaged before it is drawn: bins near the pole are so small that they are all noise."""
+CAMERA = direction(66.0, 112.0)
+"""Toward the viewer, in the frame in which the lamp is at azimuth 0: the lamp is on the left."""
+RIGHT = np.cross((0.0, 0.0, 1.0), CAMERA) / np.linalg.norm(np.cross((0.0, 0.0, 1.0), CAMERA))
+UP = np.cross(CAMERA, RIGHT)
+WINDOW = (-1.62, 1.62, -0.62, 1.52)
+"""What the viewer sees: left, right, bottom, top in units of the outer arc."""
+
+
+def lobes(measurement: Measurement, path: PathLike, wavelength: float | None = None) -> Path:
+    """Draw the lobes, BRDF times cos(theta_o), as surfaces in space, one panel an incidence, and return the path.
+
+    The radius in a direction is the light scattered into it: (1/sr), averaged over patches of about 2.5 degrees with
+    the solid angle as weight. Radius and colour have one scale for all panels; it is logarithmic where a lobe is so
+    narrow, or the panels so different, that a linear one would show a needle or nothing, and the figure says which.
+    `wavelength` (nm; the nearest measured one) is 550 nm unless told. Rendered by VTK, or by matplotlib where no GL
+    library is installed. Raises ValueError for a measurement without a hemisphere of bins.
+    """
+    if not _has_hemisphere(measurement):
+        raise ValueError(
+            "lobes need a hemisphere of bins, and this measurement was made with Apertures; "
+            "draw slices, or measure with detector = HemisphereGrid"
+        )
+    incidences, choice = _incidences(measurement)
+    nm = _wavelength(measurement, wavelength)
+    shapes = [_Lobe.of(incidence.data, nm) for incidence in incidences]
+    scale = _Scale.of(shapes)
+    draw = _render if _can_render() else _paint
+    rows, columns = _shape(len(shapes), incidences)
+    figure = _figure(4.6 * columns + 0.9, 3.25 * rows + 0.95)
+    panels = figure.subplots(rows, columns, squeeze=False)
+    for panel, incidence, shape in zip(panels.flat, incidences, shapes, strict=False):
+        draw(panel, incidence, shape, scale)
+        _label(panel, incidence, scale)
+    for panel in panels.flat:
+        panel.set(xlim=WINDOW[:2], ylim=WINDOW[2:], aspect="equal")
+        panel.set_axis_off()
+    _head(figure, measurement, f"{nm:g} nm", scale.words, _resolution(measurement), choice)
+    _colour_bar(figure, panels, scale.norm, r"BRDF $\cdot\,\cos\theta_o$  (sr⁻¹)")
+    return _save(figure, path)
+
+
+def _resolution(measurement: Measurement) -> str:
+    widest = float(np.diff(measurement.dataset["theta_o_bounds"].values).max())
+    return f"averaged over {PATCH:g}° patches" if widest < PATCH else f"bins of up to {widest:.3g}°"
+
+
+@dataclass(frozen=True, eq=False)
+class _Lobe:
+    """Scattered light per solid angle (1/sr) at the vertices of a closed surface over the hemisphere."""
+
+    theta: Array
+    """(rows,) degrees, from 0 to 90."""
+    dphi: Array
+    """(columns,) degrees."""
+    value: Array
+    """(rows, columns) BRDF times cosine."""
+
+    @classmethod
+    def of(cls, data: xr.Dataset, nm: float) -> _Lobe:
+        """Pool the bins of one incidence into patches of about `PATCH` degrees."""
+        energy, edges, dphi = _energies(data, nm)
+        step = np.radians(360.0 / len(dphi))
+        middles = (edges[:-1] + edges[1:]) / 2
+        starts = np.unique(middles // PATCH, return_index=True)[1]
+        edges = np.append(edges[starts], 90.0)
+        solid = -np.diff(np.cos(np.radians(edges))) * step
+        rings = np.add.reduceat(energy, starts, axis=0) / solid[:, None]
+        theta = (edges[:-1] + edges[1:]) / 2
+        value = np.stack(
+            [
+                _smooth(ring, PATCH / np.sin(np.radians(t)) * len(dphi) / 360)
+                for ring, t in zip(rings, theta, strict=True)
+            ]
+        )
+        # A single vertex closes the surface at the pole, and no light leaves along the horizon.
+        pole = np.full((1, len(dphi)), rings[0].mean())
+        first = 0 if edges[1] > 1.5 * PATCH else 1
+        value = np.concatenate([pole, value[first:], np.zeros_like(pole)])
+        return cls(np.concatenate([[0.0], theta[first:], [90.0]]), dphi, value)._refined()
+
+    def _refined(self) -> _Lobe:
+        """The same lobe with coarse bins joined by straight interpolation, so that it looks round."""
+        theta = np.union1d(self.theta, np.arange(0.0, 90.0, PATCH))
+        dphi = np.linspace(0.0, 360.0, max(len(self.dphi), 120), endpoint=False)
+        around = np.stack([np.interp(dphi, self.dphi, ring, period=360.0) for ring in self.value])
+        return _Lobe(theta, dphi, np.stack([np.interp(theta, self.theta, column) for column in around.T], axis=1))
+
+    @property
+    def solid_angle(self) -> float:
+        """Albedo over peak: the solid angle (sr) that the lobe would fill at its peak value."""
+        weight = np.trapezoid(self.value.mean(axis=1) * np.sin(np.radians(self.theta)), np.radians(self.theta))
+        return float(2 * np.pi * weight / max(self.value.max(), np.finfo(float).tiny))
+
+    def points(self, radius: Array) -> Array:
+        """Vertices (rows, columns, 3) at `radius` (rows, columns) from the origin."""
+        return radius[..., None] * direction(self.theta[:, None], self.dphi[None, :])
+
+
+def _energies(data: xr.Dataset, nm: float) -> tuple[Array, Array, Array]:
+    """Share of the light in every bin (rings, sectors), ring edges and sector centres in degrees."""
+    brdf = data["brdf"].sel(order="all", wavelength=nm).transpose("theta_o", "dphi").values
+    omega = data["projected_solid_angle"].transpose("theta_o", "dphi").values
+    bounds = data["theta_o_bounds"].values
+    return brdf * omega, np.append(bounds[:, 0], bounds[-1, 1]), data["dphi"].values
+
+
+def _smooth(ring: Array, width: float) -> Array:
+    """Running mean over about `width` sectors of a closed ring."""
+    half = min(round((width - 1) / 2), (len(ring) - 1) // 2)
+    if half < 1:
+        return ring
+    return np.asarray(np.mean([np.roll(ring, k) for k in range(-half, half + 1)], axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Scale:
+    """From a value (1/sr) to a radius in [0, 1] and a colour."""
+
+    low: float
+    high: float
+    logarithmic: bool
+
+    @classmethod
+    def of(cls, shapes: Sequence[_Lobe]) -> _Scale:
+        """One scale for all lobes: linear unless one of them is a needle or far smaller than another."""
+        peaks = np.array([shape.value.max() for shape in shapes])
+        high = float(peaks.max()) or 1.0
+        needle = min(shape.solid_angle for shape in shapes) < 0.04
+        logarithmic = bool(needle or peaks.min() < high / 8)
+        return cls(high * 1e-3 if logarithmic else 0.0, high, logarithmic)
+
+    def radius(self, value: Array) -> Array:
+        if not self.logarithmic:
+            return value / self.high
+        return np.asarray(1 + np.log10(np.maximum(value, self.low) / self.high) / 3)
+
+    @property
+    def norm(self) -> Normalize:
+        from matplotlib.colors import LogNorm, Normalize
+
+        return LogNorm(self.low, self.high) if self.logarithmic else Normalize(0.0, self.high)
+
+    @property
+    def words(self) -> str:
+        if self.logarithmic:
+            return f"logarithmic radius from {self.low:.2g} (centre) to {self.high:.2g} sr⁻¹ (arc)"
+        return f"linear radius, arc at {self.high:.2g} sr⁻¹"
+
+    def colours(self, value: Array) -> Array:
+        """RGB in [0, 1], shape (..., 3)."""
+        from matplotlib import colormaps
+
+        clipped = np.clip(value, self.low, self.high)
+        return np.asarray(colormaps[COLOURS](np.ma.filled(self.norm(clipped), 0.0))[..., :3])
+
+
+def _on_screen(points: Array) -> Array:
+    """Orthographic projection (..., 2) of points (..., 3) in the lamp's frame."""
+    return np.stack([points @ RIGHT, points @ UP], axis=-1)
+
+
+def _arrows(incidence: _Incidence) -> list[tuple[Array, Array, str]]:
+    """(tail, head, colour) of the lamp's and the mirror's arrow outside the lobe."""
+    lamp, mirror = direction(incidence.theta, 0.0), direction(incidence.theta, 180.0)
+    # At normal incidence the two would hide each other.
+    aside = np.array([0.05, 0.0, 0.0]) if incidence.theta < 4 else np.zeros(3)
+    return [(1.36 * lamp + aside, 1.06 * lamp + aside, LAMP), (1.06 * mirror - aside, 1.36 * mirror - aside, MIRROR)]
+
+
+def _guides(incidence: _Incidence) -> list[tuple[Array, str]]:
+    """Polylines (n, 3) and colours: rings of theta_o on the plane, the arc of directions, rays, axes x and y."""
+    around = np.linspace(0.0, 360.0, 181)
+    rings = [(direction(90.0, around) * np.sin(np.radians(t)), "#b9b9b4") for t in (30, 60, 90)]
+    arc = [(direction(np.linspace(-90.0, 90.0, 121), 0.0), "#8a8a86")]
+    ticks = [(np.outer((0.975, 1.025), direction(t, 0.0)), "#8a8a86") for t in range(-60, 61, 30)]
+    rays = [(np.outer((0.0, 1.0), direction(incidence.theta, phi)), c) for phi, c in ((0.0, LAMP), (180.0, MIRROR))]
+    axes = [(np.outer((0.0, 1.0), direction(90.0, phi - incidence.phi)), "#b9b9b4") for phi in (0, 90, 180, 270)]
+    return rings + axes + arc + ticks + rays
+
+
+def _label(panel: Axes, incidence: _Incidence, scale: _Scale) -> None:
+    """Words beside the arrows, the ticks of the arc, the axes, and the panel's title."""
+    from matplotlib.patheffects import withStroke
+
+    halo = [withStroke(linewidth=2.5, foreground="white")]
+
+    def write(point: Array, text: str, colour: str, size: float, align: str = "center") -> None:
+        x, y = _on_screen(point)
+        panel.text(x, y, text, color=colour, fontsize=size, ha=align, va="center", path_effects=halo)
+
+    panel.set_title(incidence.words, fontsize=11, color=INK, y=0.97)
+    lamp, mirror = direction(incidence.theta, 0.0), direction(incidence.theta, 180.0)
+    apart = np.array([0.14, 0.0, 0.06]) if incidence.theta < 20 else np.array([0.0, 0.0, 0.1])
+    write(1.40 * lamp + apart, "lamp", LAMP, 10, "right" if incidence.theta < 20 else "center")
+    write(1.40 * mirror + apart * (-1, 1, 1), "mirror", MIRROR, 10, "left" if incidence.theta < 20 else "center")
+    for theta in (-60, -30, 30, 60):
+        if abs(abs(theta) - incidence.theta) > 7:
+            before, at, after = _on_screen(direction(np.array([theta - 1.0, theta, theta + 1.0]), 180.0))
+            across = (after - before)[::-1] * (-1, 1) / np.linalg.norm(after - before)
+            x, y = at + 0.11 * across
+            panel.text(x, y, f"{abs(theta)}°", color="#6b6b68", fontsize=8, ha="center", va="center")
+    for phi, name in ((0.0, "x"), (90.0, "y")):
+        azimuth = (phi - incidence.phi) % 360
+        # Behind the lobe the axis would carry its name in front of it.
+        azimuth, name = (azimuth - 180, f"$-${name}") if 225 < azimuth < 340 else (azimuth, name)
+        write(1.12 * direction(90.0, azimuth), name, INK, 9)
+
+
+def _colour_bar(figure: Figure, panels: Any, norm: Normalize, words: str, colours: str = COLOURS) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm
+
+    bar = figure.colorbar(ScalarMappable(norm, colours), ax=list(np.ravel(panels)), shrink=0.85, aspect=28, pad=0.015)
+    bar.set_label(words, fontsize=10, color=INK)
+    low, high = float(norm.vmin or 0.0), float(norm.vmax or 1.0)
+    if isinstance(norm, LogNorm) and high < 300 * low:
+        rounds = np.outer(10.0 ** np.arange(-12, 12), (1, 2, 5)).ravel()
+        ticks = rounds[(rounds >= low) & (rounds <= high)]
+        bar.set_ticks(list(ticks), labels=[f"{tick:g}" for tick in ticks])
+        bar.minorticks_off()
+    bar.ax.tick_params(labelsize=9)
+
+
+def _render(panel: Axes, incidence: _Incidence, shape: _Lobe, scale: _Scale) -> None:
+    """Put the lobe, the plane, the guides and the arrows on `panel` as a picture rendered by VTK."""
+    import pyvista as pv
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    left, right, bottom, top = WINDOW
+    width = 1400
+    scene = pv.Plotter(
+        off_screen=True, window_size=[width, round(width * (top - bottom) / (right - left))], lighting="light kit"
+    )
+    scene.add_mesh(
+        pv.Disc(inner=0.0, outer=1.0, r_res=1, c_res=180).translate((0, 0, -0.012)), color=PAPER, lighting=False
+    )
+    for line, colour in _guides(incidence):
+        scene.add_mesh(pv.lines_from_points(line).tube(radius=0.006), color=colour, lighting=False)
+    for tail, head, colour in _arrows(incidence):
+        length = float(np.linalg.norm(head - tail))
+        arrow = pv.Arrow(
+            start=tail, direction=head - tail, tip_length=0.35, tip_radius=0.13, shaft_radius=0.045, scale=length
+        )
+        scene.add_mesh(arrow, color=colour, ambient=0.3)
+    scene.add_mesh(_surface(shape, scale), scalars="colour", rgb=True, smooth_shading=True, specular=0.12, ambient=0.22)
+    focus = UP * (bottom + top) / 2
+    scene.camera.position, scene.camera.focal_point, scene.camera.up = focus + 10 * CAMERA, focus, (0.0, 0.0, 1.0)
+    scene.camera.parallel_projection = True
+    scene.camera.parallel_scale = (top - bottom) / 2
+    scene.enable_anti_aliasing("ssaa")
+    picture = np.asarray(scene.screenshot(return_img=True))
+    scene.close()
+    panel.imshow(picture, extent=WINDOW, interpolation="antialiased")
+
+
+def _surface(shape: _Lobe, scale: _Scale) -> Any:
+    """The lobe as a pyvista PolyData with the colours of its vertices in `colour`."""
+    import pyvista as pv
+
+    points = shape.points(scale.radius(shape.value))
+    rows, columns = shape.value.shape
+    i, j = (a.ravel() for a in np.mgrid[: rows - 1, :columns])
+    k = (j + 1) % columns
+    quads = np.stack(
+        [np.full_like(i, 4), i * columns + j, (i + 1) * columns + j, (i + 1) * columns + k, i * columns + k], axis=1
+    )
+    mesh = pv.PolyData(points.reshape(-1, 3), quads)
+    mesh["colour"] = np.rint(255 * scale.colours(shape.value)).astype(np.uint8).reshape(-1, 3)
+    # Merging the vertices of the pole gives it one normal.
+    return mesh.clean()
+
+
+def _paint(panel: Axes, incidence: _Incidence, shape: _Lobe, scale: _Scale) -> None:
+    """The same picture as `_render`'s, painted by matplotlib from back to front."""
+    from matplotlib.collections import PolyCollection
+
+    plane = _on_screen(direction(90.0, np.linspace(0.0, 360.0, 181)))
+    panel.fill(*plane.T, color=PAPER, lw=0)
+    for line, colour in _guides(incidence):
+        panel.plot(*_on_screen(line).T, color=colour, lw=1.1, solid_capstyle="round")
+    corners, colours = _facets(shape, scale)
+    depth = np.argsort(corners.mean(axis=1) @ CAMERA)
+    corners, colours = _on_screen(corners[depth]), colours[depth]
+    panel.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors=colours, lw=0.4, zorder=3))
+    for tail, head, colour in _arrows(incidence):
+        style = {"arrowstyle": "-|>", "color": colour, "lw": 2.5, "mutation_scale": 16, "shrinkA": 0, "shrinkB": 0}
+        panel.annotate("", tuple(_on_screen(head)), tuple(_on_screen(tail)), arrowprops=style, zorder=4)
+
+
+def _facets(shape: _Lobe, scale: _Scale) -> tuple[Array, Array]:
+    """Corners (n, 4, 3) and shaded colours (n, 3) of the lobe's facets, thinned to about 4 degrees in azimuth."""
+    every = max(1, len(shape.dphi) // 90)
+    points = shape.points(scale.radius(shape.value))[:, ::every]
+    value = shape.value[:, ::every]
+    p, v = np.concatenate([points, points[:, :1]], axis=1), np.concatenate([value, value[:, :1]], axis=1)
+    corners = np.stack([p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]], axis=2).reshape(-1, 4, 3)
+    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    length = np.linalg.norm(normals, axis=1)
+    # Lit from the upper left behind the viewer, as VTK's key light is.
+    key = (CAMERA - 0.5 * RIGHT + 0.6 * UP) / np.linalg.norm(CAMERA - 0.5 * RIGHT + 0.6 * UP)
+    light = 0.45 + 0.55 * np.maximum(normals @ key / np.where(length > 0, length, 1.0), 0.0)
+    middle = (v[:-1, :-1] + v[1:, :-1] + v[1:, 1:] + v[:-1, 1:]).ravel() / 4
+    return corners, scale.colours(middle) * light[:, None]
+
+
+@cache
+def _can_render() -> bool:
+    """Whether VTK can draw off screen; tried in a process of its own, which without a GL library is killed."""
+    trial = "import pyvista; pyvista.Plotter(off_screen=True, window_size=(8, 8)).screenshot(return_img=True)"
+    try:
+        return subprocess.run([sys.executable, "-c", trial], capture_output=True, timeout=120).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+
+
+# --- Slices in the plane of incidence --------------------------------------------------------------------------------
+
+BAND = 1.0
+"""Degrees of arc on either side of the plane of incidence that a slice averages over."""
+DECADES = 4
+"""A slice shows at most so many decades."""
+CURVES = 5
+"""At most so many wavelengths share a panel."""
+STYLES: dict[str, Any] = {"all": "-", "1": (0, (5, 2)), "2": (0, (1.2, 1.4)), "3+": (0, (6, 2, 1.2, 2))}
+MARKERS = "osD^vP"
+
+
+def slices(measurement: Measurement, path: PathLike, models: Sequence[Model] = ()) -> Path:
+    """Draw the BRDF in the plane of incidence against the signed angle theta_o and return the path.
+
+    The mirror's side is positive. Every value is the average over the bins within about 1 degree of arc from the plane,
+    with a band of two standard errors: Monte-Carlo noise of the bins is taken as independent, realisation noise as
+    common to all of them. Wavelengths have their colours, orders of scattering their line styles; `models`, averaged
+    over the same bins, are markers, to be held against order 1. Apertures within their own half angle of the plane are
+    points with error bars of two standard errors.
+    """
+    incidences, choice = _incidences(measurement)
+    wavelengths, fewer = _some_wavelengths(measurement)
+    cuts = [_Cut.of(measurement, incidence) for incidence in incidences]
+    rows, columns = _shape(len(incidences), incidences)
+    figure = _figure(4.2 * columns + 2.0, 3.2 * rows + 0.9)
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    draw = _curves if _has_hemisphere(measurement) else _points
+    for panel, incidence, cut in zip(panels.flat, incidences, cuts, strict=False):
+        draw(panel, incidence, cut, wavelengths)
+        for model, marker in zip(models, MARKERS, strict=False):
+            values = model.average(direction(incidence.theta, incidence.phi), measurement.detector, wavelengths)
+            _model_points(panel, cut, values, wavelengths, marker)
+        _mark_slice(panel, incidence)
+    _slice_axes(panels, incidences, cuts)
+    handles = _slice_legend(measurement, wavelengths, models)
+    figure.legend(handles=handles, loc="outside right center", fontsize=9, frameon=False, handlelength=2.8)
+    sparse = f"drawn where there are at least {SPARSE} hits" if _has_hemisphere(measurement) else ""
+    _head(figure, measurement, "BRDF in the plane of incidence", sparse, choice, fewer)
+    return _save(figure, path)
+
+
+def _some_wavelengths(measurement: Measurement) -> tuple[list[float], str]:
+    """At most `CURVES` of the measured wavelengths, evenly thinned, and words that say so."""
+    wavelengths = [float(nm) for nm in measurement.wavelengths]
+    chosen = np.unique(np.linspace(0, len(wavelengths) - 1, min(CURVES, len(wavelengths))).round().astype(int))
+    words = "" if len(chosen) == len(wavelengths) else f"{len(chosen)} of {len(wavelengths)} wavelengths"
+    return [wavelengths[k] for k in chosen], words
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """The bins that lie in a plane of incidence."""
+
+    angle: Array
+    """(n,) signed theta_o in degrees, increasing; the mirror's side is positive."""
+    weights: csr_array
+    """(n, bins) share of each bin in the average at an angle."""
+
+    @classmethod
+    def of(cls, measurement: Measurement, incidence: _Incidence) -> _Cut:
+        from scipy.sparse import csr_array
+
+        select = _sectors_in_plane if _has_hemisphere(measurement) else _apertures_in_plane
+        points = sorted(select(incidence, measurement.detector), key=lambda point: point[0])
+        area = incidence.data["projected_solid_angle"].values.ravel()
+        counts = [len(bins) for _, bins in points]
+        bins = np.concatenate([bins for _, bins in points]) if points else np.zeros(0, int)
+        share = np.concatenate([area[bins] / area[bins].sum() for _, bins in points]) if points else np.zeros(0)
+        weights = csr_array((share, bins, np.cumsum([0, *counts])), shape=(len(points), len(area)))
+        return cls(np.array([angle for angle, _ in points]), weights)
+
+    def read(self, data: xr.Dataset, order: str, nm: float) -> tuple[Array, Array]:
+        """Averages (n,) and their standard errors."""
+        chosen = data.sel(order=order, wavelength=nm)
+        value, whole, mc = (chosen[name].values.ravel() for name in ("brdf", "standard_error", "standard_error_mc"))
+        realisation = np.sqrt(np.maximum(whole**2 - mc**2, 0.0))
+        error = np.hypot(np.sqrt(self.weights.power(2) @ mc**2), self.weights @ realisation)
+        return np.asarray(self.weights @ value), np.asarray(error)
+
+    def enough(self, data: xr.Dataset, order: str) -> NDArray[np.bool_]:
+        """Whether each average (n,) rests on `SPARSE` hits at least."""
+        return np.asarray(self.weights.sign() @ data["hits"].sel(order=order).values.ravel() >= SPARSE)
+
+
+def _sectors_in_plane(incidence: _Incidence, _: Detector) -> Iterator[tuple[float, NDArray[np.intp]]]:
+    """Signed angle and bins of every ring on the lamp's and on the mirror's side."""
+    theta, dphi = incidence.data["theta_o"].values, incidence.data["dphi"].values
+    sectors = len(dphi)
+    for ring, t in enumerate(theta):
+        arc = np.sin(np.radians(t))
+        reach = max(BAND - 180 / sectors * arc, 0.0) + 1e-9
+        for sign, azimuth in ((-1, 0.0), (1, 180.0)):
+            away = np.abs((dphi - azimuth + 180) % 360 - 180)
+            # The polar cap lies on both sides: all of it makes one point.
+            if t > 0 or sign > 0:
+                yield sign * t, ring * sectors + np.flatnonzero(away * arc <= reach)
+
+
+def _apertures_in_plane(incidence: _Incidence, detector: Detector) -> Iterator[tuple[float, NDArray[np.intp]]]:
+    """Signed angle and number of every aperture whose axis is within its half angle of the plane."""
+    theta = incidence.data["theta_o"].values
+    wo = direction(theta, incidence.data["phi_o"].values - incidence.phi)
+    for k in np.flatnonzero(np.abs(wo[:, 1]) <= np.sin(np.radians(getattr(detector, "half_angle", 0.0))) + 1e-12):
+        yield (-theta[k] if wo[k, 0] > 1e-12 else theta[k]), np.array([k])
+
+
+def _curves(panel: Axes, incidence: _Incidence, cut: _Cut, wavelengths: Sequence[float]) -> None:
+    for order, style in STYLES.items():
+        whole, enough = order == "all", cut.enough(incidence.data, order)
+        for nm in wavelengths:
+            value, error = cut.read(incidence.data, order, nm)
+            value = np.where(enough & (value > 0), value, np.nan)
+            panel.plot(cut.angle, value, ls=style, color=_hue(nm), lw=1.6 if whole else 1.0)
+            low, high = np.maximum(value - 2 * error, np.finfo(float).tiny), value + 2 * error
+            panel.fill_between(cut.angle, low, high, color=_hue(nm), alpha=0.3 if whole else 0.15, lw=0)
+
+
+def _points(panel: Axes, incidence: _Incidence, cut: _Cut, wavelengths: Sequence[float]) -> None:
+    if not len(cut.angle):
+        panel.text(0.5, 0.5, "no aperture in this plane", transform=panel.transAxes, ha="center", color=INK)
+    for nm in wavelengths:
+        value, error = cut.read(incidence.data, "all", nm)
+        value = np.where(value > 0, value, np.nan)
+        panel.errorbar(cut.angle, value, 2 * error, fmt=".", color=_hue(nm), ms=6, capsize=2, lw=1)
+
+
+def _model_points(panel: Axes, cut: _Cut, values: Array, wavelengths: Sequence[float], marker: str) -> None:
+    every = slice(None, None, max(1, len(cut.angle) // 45))
+    for nm, value in zip(wavelengths, (cut.weights @ values).T, strict=True):
+        shown = np.where(value > 0, value, np.nan)
+        panel.plot(cut.angle[every], shown[every], marker, ms=3.6, mfc="white", mec=_hue(nm), mew=0.9, zorder=3)
+
+
+def _mark_slice(panel: Axes, incidence: _Incidence) -> None:
+    """The lamp on the upper edge, the mirror direction on the lower, and the panel's title."""
+    edge = panel.get_xaxis_transform()
+    for angle, at, marker, colour in ((-incidence.theta, 1.0, "v", LAMP), (incidence.theta, 0.0, "^", MIRROR)):
+        panel.axvline(angle, color=colour, lw=0.8, alpha=0.6, zorder=0)
+        panel.plot(angle, at, marker=marker, color=colour, transform=edge, clip_on=False, ms=8, zorder=5)
+    panel.set_title(incidence.words, fontsize=11, color=INK, pad=9)
+
+
+def _slice_axes(panels: Any, incidences: Sequence[_Incidence], cuts: Sequence[_Cut]) -> None:
+    """Limits from the data, labels on the outer panels, nothing on the empty ones."""
+    columns, used = panels.shape[1], len(incidences)
+    low, high = _value_limits(incidences, cuts)
+    for k, panel in enumerate(panels.flat):
+        if k >= used:
+            panel.set_axis_off()
+            continue
+        panel.set(yscale="log", xlim=(-90, 90), xticks=range(-90, 91, 30), ylim=(low, high))
+        panel.grid(color="#dddddd", lw=0.6)
+        panel.tick_params(labelsize=9, labelbottom=k + columns >= used)
+        if k + columns >= used:
+            panel.set_xlabel("$\\theta_o$ (degrees), lamp's side < 0 < mirror's", fontsize=10)
+        if k % columns == 0:
+            panel.set_ylabel("BRDF (sr⁻¹)", fontsize=10)
+
+
+def _value_limits(incidences: Sequence[_Incidence], cuts: Sequence[_Cut]) -> tuple[float, float]:
+    """From half the smallest value with enough hits, but `DECADES` down at most, to twice the largest."""
+    shown = []
+    for incidence, cut in zip(incidences, cuts, strict=True):
+        for order in STYLES:
+            brdf = incidence.data["brdf"].sel(order=order).values
+            values = cut.weights @ brdf.reshape(-1, brdf.shape[-1])
+            shown.append(values[cut.enough(incidence.data, order)].ravel())
+    positive = np.concatenate(shown)
+    positive = positive[positive > 0]
+    high = 2 * float(positive.max(initial=0.0)) or 1.0
+    return min(max(float(positive.min(initial=high)) / 2, high / 10**DECADES), high / 10), high
+
+
+def _slice_legend(measurement: Measurement, wavelengths: Sequence[float], models: Sequence[Model]) -> list[Artist]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Artist] = [Line2D([], [], color=_hue(nm), lw=2.5, label=f"{nm:g} nm") for nm in wavelengths]
+    if _has_hemisphere(measurement):
+        names = {"all": "all orders", "1": "1 hit", "2": "2 hits", "3+": "3 and more hits"}
+        handles += [Line2D([], [], color=INK, ls=style, lw=1.3, label=names[key]) for key, style in STYLES.items()]
+    handles.append(Patch(color=INK, alpha=0.25, lw=0, label="± 2 standard errors"))
+    point: dict[str, Any] = {"color": INK, "mfc": "white", "ls": "none", "ms": 5}
+    for model, marker in zip(models, MARKERS, strict=False):
+        handles.append(Line2D([], [], marker=marker, label=f"{type(model).__name__} (1 hit)", **point))
+    handles.append(Line2D([], [], marker="v", color=LAMP, ls="none", ms=8, label="lamp"))
+    handles.append(Line2D([], [], marker="^", color=MIRROR, ls="none", ms=8, label="mirror direction"))
+    return handles
+
+
+def _hue(nm: float) -> tuple[float, float, float]:
+    """The spectral hue of a wavelength, dark enough for a white page; greys outside the visible range."""
+    if not 380 <= nm <= 780:
+        return (0.45, 0.45, 0.5) if nm < 380 else (0.3, 0.25, 0.25)
+    nodes = (380, 420, 450, 480, 500, 530, 555, 580, 600, 620, 660, 780)
+    red = (0.42, 0.40, 0.13, 0.00, 0.00, 0.05, 0.25, 0.75, 0.88, 0.86, 0.78, 0.45)
+    green = (0.10, 0.12, 0.30, 0.55, 0.60, 0.60, 0.58, 0.55, 0.42, 0.20, 0.05, 0.00)
+    blue = (0.60, 0.75, 0.85, 0.80, 0.55, 0.25, 0.05, 0.00, 0.00, 0.10, 0.12, 0.05)
+    r, g, b = (float(np.interp(nm, nodes, channel)) for channel in (red, green, blue))
+    return r, g, b
+
+
+# --- Maps of the hemisphere ------------------------------------------------------------------------------------------
+
+
+def hemisphere(measurement: Measurement, path: PathLike, wavelength: float | None = None) -> Path:
+    """Draw the BRDF over the hemisphere and below it its relative standard error, and return the path.
+
+    One column an incidence. The hemisphere is seen from above, the radius is theta_o, the lamp's side is on the left
+    and dphi runs counter-clockwise. Colours are logarithmic. Bins that no light reached, and in the lower row bins with
+    fewer than 10 hits, are hatched. `wavelength` (nm; the nearest measured one) is 550 nm unless told. Apertures are
+    drawn as discs.
+    """
+    incidences, choice = _incidences(measurement)
+    nm = _wavelength(measurement, wavelength)
+    maps = [_Map.of(incidence.data, nm) for incidence in incidences]
+    value_norm, error_norm = _map_norms(maps)
+    figure = _figure(2.75 * len(maps) + 1.6, 6.6)
+    panels = figure.subplots(2, len(maps), squeeze=False, subplot_kw={"projection": "polar"})
+    draw = _draw_bins if _has_hemisphere(measurement) else _draw_apertures
+    for (above, below), incidence, shown in zip(panels.T, incidences, maps, strict=True):
+        draw(above, incidence, measurement.detector, shown.value, value_norm, COLOURS)
+        draw(below, incidence, measurement.detector, shown.error, error_norm, ERRORS)
+        for panel in (above, below):
+            _mark_map(panel, incidence)
+        above.set_title(incidence.words, fontsize=11, color=INK, pad=12)
+    _colour_bar(figure, panels[0], value_norm, "BRDF (sr⁻¹)")
+    _colour_bar(figure, panels[1], error_norm, "relative standard error (%)", ERRORS)
+    blank = "hatched" if _has_hemisphere(measurement) else "white"
+    noise = f"{blank} above: no hits, below: fewer than {SPARSE}"
+    _head(figure, measurement, f"{nm:g} nm, all orders", noise, choice)
+    figure.legend(handles=_map_legend(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+    return _save(figure, path)
+
+
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """What is drawn for one incidence; NaN where it is hatched."""
+
+    value: Array
+    error: Array
+    """Relative standard error in percent."""
+
+    @classmethod
+    def of(cls, data: xr.Dataset, nm: float) -> _Map:
+        chosen = data.sel(order="all", wavelength=nm)
+        brdf, error, hits = (chosen[name].values for name in ("brdf", "standard_error", "hits"))
+        value = np.where(brdf > 0, brdf, np.nan)
+        return cls(value, np.where(hits >= SPARSE, 100 * error / value, np.nan))
+
+
+def _map_norms(maps: Sequence[_Map]) -> tuple[Normalize, Normalize]:
+    """Logarithmic colour scales of the values and of their errors."""
+    values, errors = (np.concatenate([getattr(m, name).ravel() for m in maps]) for name in ("value", "error"))
+    return _log_norm(values), _log_norm(np.minimum(errors, 100.0))
+
+
+def _log_norm(values: Array) -> Normalize:
+    """From the lowest values, a few noisy ones left out, to the highest: half a decade to `DECADES`."""
+    from matplotlib.colors import LogNorm
+
+    values = values[values > 0]
+    high = float(values.max(initial=0.0)) or 1.0
+    low = float(np.quantile(values, 0.02)) if values.size else high
+    return LogNorm(min(max(low, high / 10**DECADES), high / 3), high, clip=True)
+
+
+def _draw_bins(panel: Axes, incidence: _Incidence, _: Detector, shown: Array, norm: Normalize, colours: str) -> None:
+    theta, dphi = (incidence.data[name].values for name in ("theta_o_bounds", "dphi_bounds"))
+    # matplotlib joins corners by straight lines: wide sectors are cut into pieces that look round.
+    pieces = -(-120 // len(dphi))
+    around = np.linspace(dphi[0, 0], dphi[-1, 1], pieces * len(dphi) + 1)
+    masked = np.ma.masked_invalid(np.repeat(shown, pieces, axis=1))
+    edges = np.append(theta[:, 0], theta[-1, 1])
+    panel.pcolormesh(np.radians(around), edges, masked, norm=norm, cmap=colours, rasterized=True)
+
+
+def _draw_apertures(
+    panel: Axes, incidence: _Incidence, detector: Detector, shown: Array, norm: Normalize, colours: str
+) -> None:
+    from matplotlib import colormaps
+
+    around = np.linspace(0, 2 * np.pi, 25)
+    radius = getattr(detector, "half_angle", 1.0)
+    theta, phi = incidence.data["theta_o"].values, incidence.data["phi_o"].values - incidence.phi
+    for t, p, value in zip(theta, np.radians(phi), shown, strict=True):
+        x, y = t * np.cos(p) + radius * np.cos(around), t * np.sin(p) + radius * np.sin(around)
+        colour = colormaps[colours](norm(value)) if np.isfinite(value) else "white"
+        panel.fill(np.arctan2(y, x), np.hypot(x, y), facecolor=colour, edgecolor=INK, lw=0.4)
+
+
+def _mark_map(panel: Any, incidence: _Incidence) -> None:
+    """Orientation, rings, the hatching of the ground, the lamp and the mirror direction."""
+    from matplotlib.patheffects import withStroke
+
+    panel.set_theta_zero_location("W")
+    panel.set_ylim(0, 90)
+    panel.set_yticks([30, 60, 90], labels=["30°", "60°", ""], fontsize=8, color=INK)
+    for label in panel.get_yticklabels():
+        label.set_path_effects([withStroke(linewidth=2, foreground="white", alpha=0.8)])
+    panel.set_rlabel_position(70)
+    panel.set_xticks(np.radians([0, 90, 180, 270]), labels=["0°", "90°", "180°", ""], fontsize=8)
+    panel.tick_params(axis="x", pad=0)
+    panel.grid(color="black", lw=0.4, alpha=0.35)
+    panel.patch.set(facecolor="#e6e6e6", hatch="////", edgecolor="#b0b0b0")
+    style = {"ls": "none", "mec": "white", "mew": 1.0, "clip_on": False, "zorder": 6}
+    panel.plot(0.0, incidence.theta, marker="v", color=LAMP, ms=10, **style)
+    panel.plot(np.pi, incidence.theta, marker="^", color=MIRROR, ms=8, **style)
+
+
+def _map_legend() -> list[Artist]:
+    from matplotlib.lines import Line2D
+
+    return [
+        Line2D([], [], marker="v", color=LAMP, ls="none", ms=9, label="lamp (dphi = 0°)"),
+        Line2D([], [], marker="^", color=MIRROR, ls="none", ms=8, label="mirror direction (dphi = 180°)"),
+    ]
