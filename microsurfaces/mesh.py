@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_BLOCK = 1 << 18  # faces handled at a time, so that temporaries stay in the tens of megabytes
+_BLOCK = 1 << 14  # faces handled at a time: temporaries stay in the cache
 _WALL = 1e-9  # facets steeper than this cosine count as vertical
 _AREA_TOLERANCE = 1e-6  # relative: how exactly the faces must cover one period
 
