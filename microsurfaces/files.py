@@ -55,7 +55,7 @@ class HeightFieldFile:
     """
 
     path: str
-    """The file; a relative path starts at the current folder."""
+    """The file; a relative path starts beside the TOML file, in Python at the current folder."""
     pixel_size: _Size
     """Distance between neighbouring pixels, µm, or the pair (dx, dy)."""
     unit: Unit
@@ -96,7 +96,7 @@ class MeshFile:
     """
 
     path: str
-    """The file; a relative path starts at the current folder."""
+    """The file; a relative path starts beside the TOML file, in Python at the current folder."""
     period: tuple[Positive, Positive]
     """Period (px, py) of the surface along x and y, µm."""
     unit: Unit
