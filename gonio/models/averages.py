@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.detectors import Detector
+from gonio.detectors import Detector, HemisphereGrid
 from gonio.sphere import Vectors
 
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-5
-"""A bin is done when twice as many nodes an axis change it by less than this share of the larger of its own value and
-the mean over the detector."""
+"""Relative accuracy of an albedo: what a cell may still change by, as a share of itself or of the detector's mean."""
 
-_NODES = (2, 4, 8, 16, 32, 64, 128, 256, 512, 1024)
-"""Gauss-Legendre nodes an axis, tried in turn."""
+_NODES = (2, 3, 5, 8, 12, 18)
+"""Gauss-Legendre nodes an axis, tried in turn in every cell."""
+
+_MORE_NODES = (27, 40, 60, 90, 135, 200, 300, 450, 675, 1000)
+"""And in apertures, which cannot be divided."""
+
+_FINEST = 5_000_000
+"""Sectors, or rings, of the finest grid that a bin's cells are taken from: its edges must fit into memory."""
 
 _BATCH = 1 << 17
 """Directions evaluated at once: bounds the memory whatever the detector."""
@@ -42,27 +48,64 @@ def bin_average(
 ) -> NDArray[np.float64]:
     """Average `model` over every bin of `detector` for light from `wi` (3,): (bins, W) in 1/sr, weighted with cos dw.
 
-    Nodes are doubled, bin by bin, until a bin changes by less than `TOLERANCE`. A bin starts with nodes no farther
-    apart than `detail`, so that no lobe can slip between them. A lobe too narrow for 1024 nodes an axis is a
-    ValueError.
+    Adaptive: more and more nodes until a bin has changed twice in a row by less than `TOLERANCE`; bins that do not
+    settle, because a lobe is narrow or a kink of the model crosses them, are divided into 3 x 3. No rule is trusted
+    whose nodes stand farther apart than `detail`, so that no lobe can slip between them. A lobe too narrow even for the
+    finest cells, or for 1000 nodes across an aperture, which is not divided, is a ValueError.
     """
     wi = np.asarray(wi, np.float64)
     wavelengths = np.atleast_1d(np.asarray(wavelengths, np.float64))
-    start, solid = _first_nodes(detail, wi, detector), detector.projected_solid_angles()
-    average = np.full((detector.bins, wavelengths.size), np.nan)
-    unfinished = np.ones(detector.bins, bool)
-    for nodes in _NODES:
-        bins = np.flatnonzero(unfinished & (start <= nodes))
-        finer = _gauss_legendre(model, wi, detector, wavelengths, nodes, bins)
-        change, average[bins] = np.abs(finer - average[bins]), finer
-        mean = np.nansum(average * solid[:, None], axis=0) / solid.sum()
-        unfinished[bins] = ~(change <= TOLERANCE * np.maximum(finer, mean)).all(axis=1)
-    if unfinished.any():
-        raise ValueError(
-            f"{model!r} has a lobe too narrow for {np.count_nonzero(unfinished)} bins of this detector: "
-            f"its average does not settle with {_NODES[-1]} nodes an axis; use smaller bins or a rougher model."
-        )
-    return average
+    if wi[2] <= 0.0:
+        return np.zeros((detector.bins, wavelengths.size))
+    solid = detector.projected_solid_angles()
+    energy, scale = np.zeros((2, detector.bins, wavelengths.size))
+    cells, bins, owner, area = detector, np.arange(detector.bins), np.arange(detector.bins), solid
+    for depth in itertools.count():
+        # Of a divided bin only the cells along a kink do not settle, fewer as they shrink: they may be less accurate.
+        slack = 3.0**depth * scale[owner]
+        value, settled = _settle(model, detail, wi, cells, bins, area / solid.sum(), wavelengths, slack)
+        estimate = energy.copy()
+        np.add.at(estimate, owner, np.nan_to_num(value) * area[:, None])
+        np.add.at(energy, owner[settled], value[settled] * area[settled, None])
+        if settled.all():
+            return energy / solid[:, None]
+        if not isinstance(cells, HemisphereGrid) or 3 * max(cells.shape) > _FINEST:
+            break
+        scale = np.maximum(estimate / solid[:, None], estimate.sum(axis=0) / solid.sum())
+        cells, bins, owner = _divide(cells, bins[~settled], owner[~settled])
+        area = _areas(cells, bins)
+    raise ValueError(
+        f"{model!r} has a lobe too narrow for {np.unique(owner).size} bins of this detector: their averages do not "
+        "settle; use smaller bins or a rougher model."
+    )
+
+
+def _settle(
+    model: Function,
+    detail: Detail,
+    wi: Array,
+    detector: Detector,
+    bins: NDArray[np.intp],
+    share: Array,
+    wavelengths: Array,
+    scale: Array,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Averages (len(bins), W) of cells, and which of them settled (len(bins),).
+
+    A cell has settled when it changed twice in a row by less than `TOLERANCE` times the largest of its own value, of
+    `scale` (len(bins), W) and of the mean over `bins`, weighted with their `share` (len(bins),) of the whole detector.
+    """
+    rules = _NODES if isinstance(detector, HemisphereGrid) else _NODES + _MORE_NODES
+    wanted = _wanted_nodes(detail, wi, detector, bins)
+    value, streak = np.full((bins.size, wavelengths.size), np.nan), np.zeros(bins.size, int)
+    for nodes in rules:
+        some = np.flatnonzero((streak < 2) & (wanted <= nodes))
+        finer = _gauss_legendre(model, wi, detector, wavelengths, nodes, bins[some])
+        change, value[some] = np.abs(finer - value[some]), finer
+        mean = np.nansum(value * share[:, None], axis=0)
+        close = change <= TOLERANCE * np.maximum(np.maximum(finer, scale[some]), mean)
+        streak[some] = np.where(close.all(axis=1), streak[some] + 1, 0)
+    return value, streak >= 2
 
 
 def _gauss_legendre(
@@ -81,12 +124,37 @@ def _gauss_legendre(
     return average
 
 
-def _first_nodes(detail: Detail, wi: Array, detector: Detector) -> NDArray[np.int64]:
-    """Nodes an axis (bins,) at which a bin's nodes stand as close as the BRDF's finest detail in it."""
-    wo, _ = detector.quadrature(wi, 2)
+def _wanted_nodes(detail: Detail, wi: Array, detector: Detector, bins: NDArray[np.intp]) -> Array:
+    """Nodes an axis (len(bins),) at which a cell's nodes stand as close as the BRDF's finest detail in it."""
+    wo, _ = detector.quadrature(wi, 2, bins)
     centre = wo.mean(axis=1, keepdims=True)
     # Two Gauss-Legendre nodes stand at 1 / sqrt(3) of the way to the edge.
     radius = np.sqrt(3.0) * np.linalg.norm(wo - centre, axis=-1).max(axis=1)
-    wanted = np.clip(2.0 * radius / detail(wi, wo, radius), _NODES[0], _NODES[-2])
-    start: NDArray[np.int64] = np.asarray(_NODES)[np.searchsorted(_NODES, wanted)]
-    return start
+    wanted: Array = 2.0 * radius / detail(wi, wo, radius)
+    return wanted
+
+
+def _divide(
+    grid: HemisphereGrid, bins: NDArray[np.intp], owner: NDArray[np.intp]
+) -> tuple[HemisphereGrid, NDArray[np.intp], NDArray[np.intp]]:
+    """The grid of a third of the steps, the cells of it that `bins` consist of, and whom each belongs to.
+
+    Bins are centred on multiples of their steps, so that three of the finer ones fill a coarse one.
+    """
+    finer = HemisphereGrid(theta_step=grid.theta_step / 3, phi_step=grid.phi_step / 3, spacing=grid.spacing)
+    rings, sectors = finer.shape
+    ring, sector = np.divmod(bins, grid.shape[1])
+    thirds = np.arange(3)
+    ring = 3 * ring[:, None, None] + (thirds if grid.spacing == "projected_area" else thirds - 1)[:, None]
+    sector = (3 * sector[:, None, None] + thirds - 1) % sectors
+    # The polar cap and the horizon's half bin have fewer rings than three.
+    there = np.broadcast_to((ring >= 0) & (ring < rings), (bins.size, 3, 3))
+    owners = np.broadcast_to(owner[:, None, None], there.shape)
+    return finer, (ring * sectors + sector)[there], owners[there]
+
+
+def _areas(grid: HemisphereGrid, bins: NDArray[np.intp]) -> Array:
+    """Projected solid angles of some bins, sr; a fine grid has too many to compute them all."""
+    sectors = grid.shape[1]
+    sin2 = np.sin(np.radians(grid.theta_edges)) ** 2
+    return np.asarray(np.diff(sin2)[bins // sectors] * np.pi / sectors)

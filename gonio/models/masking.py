@@ -47,5 +47,6 @@ def v_cavity(wi: Vectors, wo: Vectors, wh: Vectors) -> Array:
     Cook and Torrance 1982.
     """
     lower = np.minimum(wi[..., 2], wo[..., 2])
-    share: Array = np.minimum(1.0, 2.0 * wh[..., 2] * lower / (wi * wh).sum(axis=-1))
+    # VH = LH, and the mean of both has no cancellation at grazing.
+    share: Array = np.minimum(1.0, 4.0 * wh[..., 2] * lower / ((wi + wo) * wh).sum(axis=-1))
     return share
