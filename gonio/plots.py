@@ -127,7 +127,7 @@ def _save(figure: Figure, path: PathLike) -> Path:
 
 # --- Lobes -----------------------------------------------------------------------------------------------------------
 
-PATCH = 2.5
+PATCH = 3.0
 """Degrees over which a lobe is averaged before it is drawn: bins near the pole are so small that they are all noise."""
 CAMERA = direction(66.0, 112.0)
 """Toward the viewer, in the frame in which the lamp is at azimuth 0: the lamp is on the left."""
@@ -140,7 +140,7 @@ WINDOW = (-1.62, 1.62, -0.62, 1.52)
 def lobes(measurement: Measurement, path: PathLike, wavelength: float | None = None) -> Path:
     """Draw the lobes, BRDF times cos(theta_o), as surfaces in space, one panel an incidence, and return the path.
 
-    The radius in a direction is the light scattered into it: (1/sr), averaged over patches of about 2.5 degrees with
+    The radius in a direction is the light scattered into it: (1/sr), averaged over patches of about 3 degrees with
     the solid angle as weight. Radius and colour have one scale for all panels; it is logarithmic where a lobe is so
     narrow, or the panels so different, that a linear one would show a needle or nothing, and the figure says which.
     `wavelength` (nm; the nearest measured one) is 550 nm unless told. Rendered by VTK, or by matplotlib where no GL
@@ -475,9 +475,9 @@ def slices(measurement: Measurement, path: PathLike, models: Sequence[Model] = (
     draw = _curves if _has_hemisphere(measurement) else _points
     for panel, incidence, cut in zip(panels.flat, incidences, cuts, strict=False):
         draw(panel, incidence, cut, wavelengths)
-        for model, marker in zip(models, MARKERS, strict=False):
+        for k, model in enumerate(models[: len(MARKERS)]):
             values = model.average(direction(incidence.theta, incidence.phi), measurement.detector, wavelengths)
-            _model_points(panel, cut, values, wavelengths, marker)
+            _model_points(panel, cut, values, wavelengths, MARKERS[k], k / len(models))
         _mark_slice(panel, incidence)
     _slice_axes(panels, incidences, cuts)
     handles = _slice_legend(measurement, wavelengths, models)
@@ -572,11 +572,15 @@ def _points(panel: Axes, incidence: _Incidence, cut: _Cut, wavelengths: Sequence
         panel.errorbar(cut.angle, value, 2 * error, fmt=".", color=_hue(nm), ms=6, capsize=2, lw=1)
 
 
-def _model_points(panel: Axes, cut: _Cut, values: Array, wavelengths: Sequence[float], marker: str) -> None:
-    every = slice(None, None, max(1, len(cut.angle) // 45))
+def _model_points(
+    panel: Axes, cut: _Cut, values: Array, wavelengths: Sequence[float], marker: str, shift: float
+) -> None:
+    """Markers on every few bins, `shift` of the way to the next, so that those of several models interleave."""
+    every = max(1, len(cut.angle) // 36)
+    shown = slice(round(shift * every), None, every)
     for nm, value in zip(wavelengths, (cut.weights @ values).T, strict=True):
-        shown = np.where(value > 0, value, np.nan)
-        panel.plot(cut.angle[every], shown[every], marker, ms=3.6, mfc="white", mec=_hue(nm), mew=0.9, zorder=3)
+        value = np.where(value > 0, value, np.nan)
+        panel.plot(cut.angle[shown], value[shown], marker, ms=3.6, mfc="white", mec=_hue(nm), mew=0.9, zorder=3)
 
 
 def _mark_slice(panel: Axes, incidence: _Incidence) -> None:

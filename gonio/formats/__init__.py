@@ -51,6 +51,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises OSError if the folder does not exist or cannot be written.
     """
     temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
+    temporary.touch()
     try:
         yield temporary
         temporary.replace(path)

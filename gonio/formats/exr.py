@@ -40,7 +40,7 @@ def write(measurement: Measurement, path: Path) -> Path:
 
     Parts are named `theta_i030.0_phi_i000.0` and `theta_i030.0_phi_i000.0_standard_error`, float32, 1/sr; the string
     attribute `gonio.json` of each holds its grid, its units and where it came from. Raises ValueError for a detector
-    without a hemisphere of bins or if no incidence was measured.
+    without a hemisphere of bins or if no incidence was measured, OSError where the file cannot be written.
     """
     import OpenEXR
 
@@ -55,7 +55,11 @@ def write(measurement: Measurement, path: Path) -> Path:
         raise ValueError("no incidence of this measurement was measured (paths = 0 in all of them): nothing to export")
     parts = [_part(incidence, name) for incidence in incidences for name in QUANTITIES]
     with replacing(path) as temporary:
-        OpenEXR.File([OpenEXR.Part(header, channels) for header, channels in parts]).write(str(temporary))
+        try:
+            OpenEXR.File([OpenEXR.Part(header, channels) for header, channels in parts]).write(str(temporary))
+        except RuntimeError as error:
+            # OpenEXR's word for a full disc.
+            raise OSError(f"{path}: {error}") from None
     return path
 
 
