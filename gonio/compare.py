@@ -194,7 +194,7 @@ def _albedo(data: xr.Dataset, at: tuple[int, int], model: Array, level: float) -
     chosen = data.sel(order="1").isel(theta_i=at[0], phi_i=at[1])
     measured, error = chosen["albedo"].values, chosen["albedo_standard_error"].values
     freedom = float(chosen["degrees_of_freedom"])
-    z = _in_errors(measured - model, np.hypot(error, TOLERANCE * model))
+    z = _in_units(measured - model, np.hypot(error, TOLERANCE * model))
     p_value = 2.0 * stdtr(freedom, -np.abs(z))
     return {
         "albedo_measured": measured,
@@ -208,10 +208,10 @@ def _albedo(data: xr.Dataset, at: tuple[int, int], model: Array, level: float) -
     }
 
 
-def _in_errors(difference: Array, error: Array) -> Array:
-    """`difference` in units of `error`; 0 where both are 0."""
+def _in_units(value: Array, unit: Array) -> Array:
+    """`value` in units of `unit`; 0 where both are 0, infinite where only the unit is."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(difference == 0.0, 0.0, difference / error)
+        return np.where(value == 0.0, 0.0, value / unit)
 
 
 # --- Lobe -------------------------------------------------------------------------------------------------------------
@@ -232,9 +232,9 @@ def _lobe(measured: _Incidence, model: Array, solid: Array, albedo: Array) -> di
     l1 = np.abs(difference).sum(axis=0)
     noise, floor, ceiling = _l1_limits(error, error_mc, freedom, measured.freedom)
     return {
-        "l1": l1 / albedo,
-        "l1_noise": noise / albedo,
-        "l1_noise_mc": _expected_l1(error_mc, freedom).sum(axis=0) / albedo,
+        "l1": _in_units(l1, albedo),
+        "l1_noise": _in_units(noise, albedo),
+        "l1_noise_mc": _in_units(_expected_l1(error_mc, freedom).sum(axis=0), albedo),
         "lobe": np.where(l1 <= floor, "noise", np.where(l1 <= ceiling, "unclear", "differs")),
         "share_outside": outside.mean(axis=0),
         "share_noise_expected": 1.0 - CONFIDENCE,

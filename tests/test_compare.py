@@ -1,0 +1,267 @@
+"""Verdicts: calibrated on noise of known size, and firm on models that are wrong."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from gonio.compare import ENOUGH_HITS, _pools, compare
+from gonio.detectors import Apertures, HemisphereGrid
+from gonio.models import Beckmann, CookTorrance, Lambert, Microfacet, SmithCorrelated
+from gonio.optics import Conductor, Mirror
+from gonio.sphere import direction
+
+GRID = HemisphereGrid(theta_step=5.0, phi_step=15.0)
+TRUTH = Microfacet(distribution=Beckmann(0.4), masking=SmithCorrelated(), material=Mirror())
+FREEDOM = 15
+
+
+@dataclass(frozen=True)
+class Synthetic:
+    """What `compare` reads of a measurement."""
+
+    dataset: xr.Dataset
+    detector: HemisphereGrid | Apertures
+    attributes: dict[str, str]
+
+
+def synthetic(
+    truth=TRUTH,
+    noise=0.02,
+    seed=0,
+    detector=GRID,
+    theta_i=(30.0,),
+    phi_i=(0.0,),
+    wavelengths=(550.0,),
+    realisations=1,
+    common=0.0,
+    hits=1000,
+    beam=0.0,
+    skip=(),
+):
+    """A measurement of `truth` with Gaussian noise of relative size `noise` in every bin, estimated from 16 replicates.
+
+    `common` is the relative size of a change of the whole lobe that differs from specimen to specimen.
+    """
+    rng = np.random.default_rng(seed)
+    freedom = FREEDOM if realisations == 1 else realisations - 1
+    bins = ("theta_o", "dphi") if isinstance(detector, HemisphereGrid) else ("detector",)
+    shape = (1, len(theta_i), len(phi_i))
+    names = ("brdf", "standard_error", "standard_error_mc")
+    binned = {name: np.full((*shape, *detector.shape, len(wavelengths)), np.nan) for name in names}
+    total = {
+        f"albedo{name}": np.full((*shape, len(wavelengths)), np.nan)
+        for name in ("", "_standard_error", "_standard_error_mc")
+    }
+    counts = np.zeros((*shape, *detector.shape), np.int64)
+    paths = np.full(shape[1:], 1000)
+    solid = detector.projected_solid_angles()[:, None]
+    for i, theta in enumerate(theta_i):
+        for j, phi in enumerate(phi_i):
+            if (i, j) in skip:
+                paths[i, j] = 0
+                continue
+            exact = truth.average(direction(theta, phi), detector, wavelengths)
+            samples = exact * (1 + noise * np.sqrt(freedom + 1) * rng.standard_normal((freedom + 1, *exact.shape)))
+            alone = samples.std(axis=0, ddof=1) / np.sqrt(freedom + 1)
+            samples = samples * (1 + common * np.sqrt(freedom + 1) * rng.standard_normal((freedom + 1, 1, 1)))
+            sums = (samples * solid).sum(axis=1)
+            error = samples.std(axis=0, ddof=1) / np.sqrt(freedom + 1)
+            per_bin = (samples.mean(axis=0), error, alone if realisations > 1 else error)
+            for name, values in zip(names, per_bin, strict=True):
+                binned[name][0, i, j] = values.reshape(*detector.shape, -1)
+            total["albedo"][0, i, j] = sums.mean(axis=0)
+            for name in ("albedo_standard_error", "albedo_standard_error_mc"):
+                total[name][0, i, j] = sums.std(axis=0, ddof=1) / np.sqrt(freedom + 1)
+            counts[0, i, j] = np.broadcast_to(hits, detector.bins).reshape(detector.shape)
+    front = ("order", "theta_i", "phi_i")
+    data = xr.Dataset(
+        {
+            **{name: ((*front, *bins, "wavelength"), values) for name, values in binned.items()},
+            **{name: ((*front, "wavelength"), values) for name, values in total.items()},
+            "hits": ((*front, *bins), counts),
+            "paths": (front[1:], paths),
+            "realisations": (front[1:], np.where(paths > 0, realisations, 0)),
+            "degrees_of_freedom": (front[1:], np.full(paths.shape, freedom)),
+        },
+        {"order": ["1"], "theta_i": list(theta_i), "phi_i": list(phi_i), "wavelength": list(wavelengths)},
+    )
+    return Synthetic(data, detector, {"goniometer": json.dumps({"beam_half_angle": beam})})
+
+
+# --- Noise is called noise --------------------------------------------------------------------------------------------
+
+
+def test_calibrated_on_pure_noise():
+    """In 200 repeats: z is Student's t, 5 % of bins are outside, L1 is what noise adds up to, nothing is found."""
+    from scipy.stats import kstest
+
+    tables = [compare(synthetic(seed=seed), TRUTH).table for seed in range(200)]
+    column = {name: np.array([table[name].item() for table in tables]) for name in tables[0]}
+    assert kstest(column["p_value"], "uniform").pvalue > 0.01
+    share = column["share_outside"]
+    assert share.mean() == pytest.approx(0.05, abs=4 * share.std() / np.sqrt(share.size))
+    ratio = column["l1"] / column["l1_noise"]
+    assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(ratio.size))
+    # 5 % of the albedos differ by construction: 10 of 200, with a standard deviation of 3.1.
+    assert 1 <= column["albedo_differs"].sum() <= 20
+    assert (column["lobe"] == "noise").mean() > 0.98
+
+
+def test_many_cells_are_one_family():
+    """With 12 incidences and wavelengths a comparison finds something in 5 % of cases, not in half of them."""
+    conditions = {"theta_i": (0.0, 30.0, 60.0), "phi_i": (0.0, 90.0), "wavelengths": (450.0, 650.0)}
+    detector = HemisphereGrid(15.0, 30.0)
+    found = [
+        bool(compare(synthetic(seed=seed, detector=detector, **conditions), TRUTH).table["albedo_differs"].any())
+        for seed in range(60)
+    ]
+    assert sum(found) <= 9  # 3 expected
+
+
+def test_pooled_bins_leave_five_per_cent_outside_too():
+    """Counts of a few hits, each of which carries the same energy: Poisson noise, pooled to at least 10 hits."""
+    outside, bins = [], []
+    for seed in range(60):
+        measurement = poisson(seed, photons=3000)
+        row = compare(measurement, TRUTH).table
+        outside.append(row["share_outside"].item() * row["bins"].item())
+        bins.append(row["bins"].item())
+        assert row["bins"].item() < GRID.bins
+        assert row["lobe"].item() == "noise"
+    # A count of 10 is skewed, and knows its own error the worse the smaller it is: 5 % become up to 8 %.
+    assert 0.03 < sum(outside) / sum(bins) < 0.085
+
+
+def poisson(seed, photons):
+    """A measurement of `TRUTH` that counted `photons` paths in 16 replicates."""
+    rng = np.random.default_rng(seed)
+    base = synthetic(seed=seed)
+    solid = GRID.projected_solid_angles()
+    power = TRUTH.average(direction(30.0), GRID)[:, 0] * solid
+    counts = rng.poisson(np.broadcast_to(power * photons / 16, (16, power.size)))
+    value = counts / (photons / 16)
+    shape = (1, 1, 1, *GRID.shape, 1)
+    error = (value.std(axis=0, ddof=1) / 4 / solid).reshape(shape)
+    data = base.dataset.assign(
+        brdf=(base.dataset["brdf"].dims, (value.mean(axis=0) / solid).reshape(shape)),
+        standard_error=(base.dataset["brdf"].dims, error),
+        standard_error_mc=(base.dataset["brdf"].dims, error),
+        hits=(base.dataset["hits"].dims, counts.sum(axis=0).reshape(shape[:-1])),
+    )
+    return Synthetic(data, GRID, base.attributes)
+
+
+def test_specimens_that_shift_a_whole_lobe_are_not_mistaken_for_a_wrong_model():
+    verdicts = [compare(synthetic(seed=seed, realisations=4, noise=1e-3, common=0.02), TRUTH) for seed in range(60)]
+    lobes = [verdict.table["lobe"].item() for verdict in verdicts]
+    assert lobes.count("differs") <= 9  # 3 expected at most
+    assert all(verdict.scope == "class" for verdict in verdicts)
+    assert "4 specimens were measured" in verdicts[0].sentences()[0]
+    assert verdicts[0].table["l1_noise_mc"].item() < 0.2 * verdicts[0].table["l1_noise"].item()
+
+
+# --- Differences are called differences -------------------------------------------------------------------------------
+
+
+def test_a_wrong_model_is_rejected_in_numbers_and_in_words():
+    wrong = CookTorrance(m=0.4, material=Mirror())
+    verdict = compare(synthetic(noise=0.01), wrong)
+    row = verdict.table.isel(theta_i=0, phi_i=0, wavelength=0)
+    assert row["albedo_differs"]
+    assert row["lobe"] == "differs"
+    assert row["share_outside"] > 0.2
+    exact = (TRUTH.average(direction(30.0), GRID)[:, 0], wrong.average(direction(30.0), GRID)[:, 0])
+    solid = GRID.projected_solid_angles()
+    l1 = np.abs(exact[0] - exact[1]) @ solid / (exact[1] @ solid)
+    assert l1 <= row["l1"] < l1 + row["l1_noise"]
+    assert row["albedo_model"] == pytest.approx(exact[1] @ solid, rel=1e-12)
+    scope, albedo, lobe = verdict.sentences()
+    assert verdict.scope == "specimen"
+    assert "speaks of that specimen only" in scope
+    relative = 100 * (row["albedo_model"] / row["albedo_measured"] - 1).item()
+    assert albedo.startswith(f"theta_i 30: order-1 albedo {row['albedo_measured'].item():.5f} ± ")
+    assert f"CookTorrance {row['albedo_model'].item():.5f}: {abs(relative):.2g} % lower, " in albedo
+    assert albedo.endswith(" standard errors: not noise.")
+    assert lobe.startswith(f"theta_i 30: the lobe differs by {100 * row['l1'].item():.2g} % (L1), of which noise alone")
+    assert lobe.endswith(": not noise.")
+
+
+def test_a_right_albedo_with_a_wrong_lobe_is_rejected_by_the_lobe_only():
+    gray = Lambert(float((TRUTH.average(direction(30.0), GRID)[:, 0] * GRID.projected_solid_angles()).sum()))
+    row = compare(synthetic(), gray).table.isel(theta_i=0, phi_i=0, wavelength=0)
+    assert not row["albedo_differs"]
+    assert row["lobe"] == "differs"
+
+
+def test_without_noise_an_exact_model_agrees_and_any_other_does_not():
+    measurement = synthetic(truth=Lambert(0.5), noise=0.0)
+    exact, other = (compare(measurement, Lambert(rho)).table.squeeze() for rho in (0.5, 0.501))
+    assert not exact["albedo_differs"]
+    assert exact["lobe"] == "noise"
+    assert other["albedo_differs"]
+    assert other["lobe"] == "differs"
+    assert all("nan" not in sentence for sentence in compare(measurement, Lambert(0.5)).sentences())
+
+
+def test_a_model_without_light_is_told_apart_from_a_black_surface():
+    black = synthetic(truth=Lambert(0.0), noise=0.0)
+    with np.errstate(all="raise"):
+        row = compare(black, Lambert(0.5)).table.squeeze()
+        assert row["albedo_differs"]
+        assert "nothing was measured" in compare(black, Lambert(0.5)).sentences()[1]
+        assert not compare(black, Lambert(0.0)).table.squeeze()["albedo_differs"]
+
+
+# --- Shapes -----------------------------------------------------------------------------------------------------------
+
+
+def test_incidences_that_were_not_measured_are_left_out():
+    verdict = compare(synthetic(theta_i=(0.0, 30.0), phi_i=(0.0, 90.0), skip=((1, 0),)), TRUTH)
+    assert verdict.table["albedo_measured"].isnull().sum() == 1
+    assert verdict.table["bins"].values.ravel().tolist() == [GRID.bins, GRID.bins, 0, GRID.bins]
+    assert verdict.table["lobe"].values[1, 0, 0] == ""
+    assert len(verdict.sentences()) == 1 + 2 * 3
+    assert not any(sentence.startswith("theta_i 30, phi_i 0:") for sentence in verdict.sentences())
+    with pytest.raises(ValueError, match="no measured incidence"):
+        compare(synthetic(skip=((0, 0),)), TRUTH)
+
+
+def test_every_wavelength_has_its_row_and_the_worst_is_told():
+    gold = CookTorrance(m=0.4, material=Conductor("Au"))
+    blue = CookTorrance(m=0.4, material=Conductor(eta=1.38, k=1.92))  # gold as it is at 450 nm
+    verdict = compare(synthetic(truth=gold, wavelengths=(450.0, 650.0)), blue)
+    assert verdict.table["lobe"].values.ravel().tolist() == ["noise", "differs"]
+    assert verdict.sentences()[1].startswith("theta_i 30, 650 nm: order-1 albedo")
+
+
+def test_apertures_are_compared_and_the_albedo_is_that_of_the_hemisphere():
+    detector = Apertures(directions=((30.0, 180.0), (35.0, 180.0), (60.0, 100.0)), half_angle=2.0)
+    measurement = synthetic(detector=detector, noise=1e-3)
+    hemisphere = synthetic(noise=1e-3)
+    for name in ("albedo", "albedo_standard_error", "albedo_standard_error_mc"):
+        measurement.dataset[name] = hemisphere.dataset[name]
+    row = compare(measurement, TRUTH).table.squeeze()
+    assert row["bins"] == 3
+    assert row["lobe"] == "noise"
+    exact = TRUTH.average(direction(30.0), GRID)[:, 0] @ GRID.projected_solid_angles()
+    assert row["albedo_model"] == pytest.approx(exact, rel=2e-5)
+    assert compare(measurement, CookTorrance(m=0.3, material=Mirror())).table.squeeze()["lobe"] == "differs"
+
+
+def test_a_wide_beam_is_mentioned():
+    assert "half angle of 2.5 degrees" in compare(synthetic(beam=2.5), TRUTH).sentences()[1]
+
+
+def test_pools_are_neighbours_with_enough_hits_and_lose_nothing():
+    rng = np.random.default_rng(3)
+    for hits in (rng.poisson(2.0, 500), np.zeros(7, int), np.array([100]), np.array([9, 1, 10, 3, 30, 2])):
+        first = _pools(hits)
+        counts = np.add.reduceat(hits, first)
+        assert first[0] == 0
+        assert (np.diff(first) > 0).all()
+        assert counts.sum() == hits.sum()
+        assert (counts >= min(ENOUGH_HITS, hits.sum())).all()
+    assert _pools(np.array([9, 1, 10, 3, 30, 2])).tolist() == [0, 2, 3]
