@@ -287,7 +287,7 @@ def _empty_sums(goniometer: Goniometer) -> Any:
         "weight": (full, (len(ORDERS), bins, width), np.int64),
         "hits": (full[:-1], (len(ORDERS), bins), np.int64),
         "ledger": (("theta_i", "phi_i", "fate", "wavelength"), (len(FATES), width), np.int64),
-        **{name: (full[:2], (), np.int64) for name in ("paths", "replicates", "realisations")},
+        **dict.fromkeys(("paths", "replicates", "realisations"), (full[:2], (), np.int64)),
         **{
             f"{name}_{half}": (full, (len(ORDERS), bins, width), np.uint64)
             for name in ("mc_scatter", "realisation_squares")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gonio.detectors import Apertures, Detector, HemisphereGrid
 from gonio.optics import Lambertian, Material, Mirror
-from gonio.scene import Scene, Tile
+from gonio.scene import Scene
 from gonio.tally import UNIT
 
 WAVE = 32_768
@@ -32,6 +32,10 @@ MAX_CROSSINGS = 10_000
 
 NEGLIGIBLE = 1e-9
 """A path whose largest weight is below this stops; what it carried is in the ledger as truncated."""
+
+CLIPPED = 1e-3
+"""A ray that meets a facet from behind, this close to its edge in barycentric coordinates, has only clipped a ridge by
+a rounding error: it goes on. Anywhere else it has come from under the surface and is lost."""
 
 ORDERS = 3
 """One hit, two hits, three and more."""
@@ -382,11 +386,15 @@ def _reflect(wave, i, hit, facets, tile, substance, lamp, replicate):  # type: i
     dx, dy, dz = np.float64(wave.directions[i, 0]), np.float64(wave.directions[i, 1]), np.float64(wave.directions[i, 2])
     normals, corner_normals = facets
     nx, ny, nz = np.float64(normals[primitive, 0]), np.float64(normals[primitive, 1]), np.float64(normals[primitive, 2])
-    if dx * nx + dy * ny + dz * nz >= 0:
+    behind = dx * nx + dy * ny + dz * nz >= 0
+    if behind and min(u, v, 1 - u - v) > CLIPPED:
         return LOST
     wave.origins[i, 0] = _wrapped(wave.origins[i, 0] + distance * dx + tile.offset * nx, tile.half_x)
     wave.origins[i, 1] = _wrapped(wave.origins[i, 1] + distance * dy + tile.offset * ny, tile.half_y)
     wave.origins[i, 2] = wave.origins[i, 2] + distance * dz + tile.offset * nz
+    if behind:
+        wave.crossings[i] += 1
+        return _IN_FLIGHT
     wave.hits[i] += 1
     wave.crossings[i] = 0
     if corner_normals.shape[0]:
@@ -443,10 +451,12 @@ def _pass_on(wave, i, tile):  # type: ignore[no-untyped-def]
 def _place(wave, i, bins, lamp, turn):  # type: ignore[no-untyped-def]
     """The bin of a grid that path i escapes into."""
     x, y, z = np.float64(wave.directions[i, 0]), np.float64(wave.directions[i, 1]), np.float64(wave.directions[i, 2])
-    turns = (math.atan2(y, x) - bins.turn - _surface_angle(wave.paths[i], turn, lamp)) * (0.5 / math.pi)
-    turns += 0.5 / bins.sectors
-    sector = min(int((turns - math.floor(turns)) * bins.sectors), bins.sectors - 1)
     flat = x * x + y * y
+    sector = 0  # the pole itself has no azimuth
+    if flat > 0:
+        turns = (math.atan2(y, x) - bins.turn - _surface_angle(wave.paths[i], turn, lamp)) * (0.5 / math.pi)
+        turns += 0.5 / bins.sectors
+        sector = min(int((turns - math.floor(turns)) * bins.sectors), bins.sectors - 1)
     sin2 = flat / (flat + z * z)
     low, high = 0, bins.sin2_edges.size - 1
     while high - low > 1:
