@@ -133,7 +133,7 @@ CAMERA = direction(66.0, 112.0)
 """Toward the viewer, in the frame in which the lamp is at azimuth 0: the lamp is on the left."""
 RIGHT = np.cross((0.0, 0.0, 1.0), CAMERA) / np.linalg.norm(np.cross((0.0, 0.0, 1.0), CAMERA))
 UP = np.cross(CAMERA, RIGHT)
-WINDOW = (-1.62, 1.62, -0.62, 1.52)
+WINDOW = (-1.5, 1.5, -0.56, 1.5)
 """What the viewer sees: left, right, bottom, top in units of the outer arc."""
 
 
@@ -157,7 +157,7 @@ def lobes(measurement: Measurement, path: PathLike, wavelength: float | None = N
     scale = _Scale.of(shapes)
     draw = _render if _can_render() else _paint
     rows, columns = _shape(len(shapes), incidences)
-    figure = _figure(4.6 * columns + 0.9, 3.25 * rows + 0.95)
+    figure = _figure(4.4 * columns + 0.9, 3.25 * rows + 0.95)
     panels = figure.subplots(rows, columns, squeeze=False)
     for panel, incidence, shape in zip(panels.flat, incidences, shapes, strict=False):
         draw(panel, incidence, shape, scale)
@@ -389,17 +389,16 @@ def _surface(shape: _Lobe, scale: _Scale) -> Any:
     """The lobe as a pyvista PolyData with the colours of its vertices in `colour`."""
     import pyvista as pv
 
-    points = shape.points(scale.radius(shape.value))
-    rows, columns = shape.value.shape
-    i, j = (a.ravel() for a in np.mgrid[: rows - 1, :columns])
-    k = (j + 1) % columns
-    quads = np.stack(
-        [np.full_like(i, 4), i * columns + j, (i + 1) * columns + j, (i + 1) * columns + k, i * columns + k], axis=1
-    )
-    mesh = pv.PolyData(points.reshape(-1, 3), quads)
+    points = shape.points(scale.radius(shape.value)).reshape(-1, 3)
+    number = np.arange(len(points)).reshape(shape.value.shape)
+    # One vertex is the pole, so that it has one normal.
+    number[0] = 0
+    after = np.roll(number, -1, axis=1)
+    corners = np.stack([number[:-1], number[1:], after[1:], after[:-1]], axis=-1).reshape(-1, 4)
+    mesh = pv.PolyData(points, np.insert(corners, 0, 4, axis=1))
     mesh["colour"] = np.rint(255 * scale.colours(shape.value)).astype(np.uint8).reshape(-1, 3)
-    # Merging the vertices of the pole gives it one normal.
-    return mesh.clean()
+    # The facets that meet at the origin would mislead a search for a consistent orientation.
+    return mesh.compute_normals(cell_normals=False, consistent_normals=False, split_vertices=False)
 
 
 def _paint(panel: Axes, incidence: _Incidence, shape: _Lobe, scale: _Scale) -> None:
@@ -576,7 +575,7 @@ def _model_points(
     panel: Axes, cut: _Cut, values: Array, wavelengths: Sequence[float], marker: str, shift: float
 ) -> None:
     """Markers on every few bins, `shift` of the way to the next, so that those of several models interleave."""
-    every = max(1, len(cut.angle) // 36)
+    every = max(1, len(cut.angle) // 20)
     shown = slice(round(shift * every), None, every)
     for nm, value in zip(wavelengths, (cut.weights @ values).T, strict=True):
         value = np.where(value > 0, value, np.nan)
