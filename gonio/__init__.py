@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gonio import formats, models, plots
     from gonio.compare import Verdict, compare
     from gonio.detectors import Apertures, HemisphereGrid
-    from gonio.experiment import InputError, Experiment
+    from gonio.experiment import Experiment, InputError
     from gonio.formats import export
     from gonio.goniometer import Goniometer
     from gonio.measurement import Measurement, load, save
@@ -55,13 +55,13 @@ _MODULES = ("formats", "models", "plots")
 
 __all__ = [
     "Apertures",
-    "InputError",
     "Conductor",
     "CookTorrance",
     "Dielectric",
     "Experiment",
     "Goniometer",
     "HemisphereGrid",
+    "InputError",
     "Lambert",
     "Lambertian",
     "Measurement",

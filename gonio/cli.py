@@ -90,7 +90,7 @@ def _attempt(tokens: Sequence[str] | None) -> int:
 
 def _complain(code: int, *sentences: str) -> int:
     for sentence in sentences:
-        print(sentence, file=sys.stderr)
+        print(sentence if sentence.endswith((".", "?", "!")) else f"{sentence}.", file=sys.stderr)
     return code
 
 
@@ -105,17 +105,19 @@ def _usage(error: CycloptsError) -> str:
 @app.command
 def run(
     config: Path,
+    /,
     *,
     overrides: Overrides = (),
     threads: int | None = None,
     seed: int | None = None,
     output: Output = None,
-    quiet: Annotated[bool, Parameter(negative="")] = False,
+    quiet: Annotated[bool, Parameter(negative="", show_default=False)] = False,
 ) -> None:
     """Measure the BRDF that an experiment file describes.
 
-    Writes measurement.nc, experiment.toml (everything resolved: it runs again to the same numbers), lobes.png,
-    slices.png and hemisphere.png, and prints albedos, orders of scattering, lost energy and how models compare.
+    Writes measurement.nc, experiment.toml (everything resolved: run again, it
+    gives the same numbers), lobes.png, slices.png and hemisphere.png. Prints
+    albedos, orders of scattering, lost energy and how models compare.
 
     Parameters
     ----------
@@ -143,8 +145,9 @@ def run(
     with _progress(quiet) as meter:
         measurement = experiment.run(threads=threads, progress=meter)
     seconds = time.monotonic() - started
-    models = _models(measurement, experiment.compare)
+    models, complaints = _models(measurement, experiment.compare)
     files = _write_results(experiment, measurement, models, folder)
+    _complain(0, *complaints)
     if not quiet:
         _report(measurement, models, meter, seconds)
         _say(f"Files in {folder}{os.sep}: {', '.join(files)}")
@@ -162,6 +165,12 @@ def _check_writable(folder: Path) -> None:
             pass
     except OSError as error:
         raise RunError(f"{folder} cannot be written ({_reason(error)}): give another folder with -o.") from None
+
+
+def _make_writable(folder: Path) -> None:
+    """Create `folder` where it does not exist; raise `RunError` if files could not be written to it."""
+    _check_writable(folder)
+    folder.mkdir(parents=True, exist_ok=True)
 
 
 def _write_results(
@@ -241,9 +250,7 @@ def _progress(quiet: bool) -> Iterator[_Meter]:
         with Progress(*columns, console=Console(stderr=True), expand=True) as bar:
             task = bar.add_task("building the surface", total=None)
             yield _Meter(
-                lambda done, total, rate: bar.update(
-                    task, completed=done, total=total, description=f"{rate / 1e6:.1f} M rays/s"
-                )
+                lambda done, total, rate: bar.update(task, completed=done, total=total, description=_rate(rate))
             )
 
 
@@ -256,9 +263,15 @@ def _plain_progress() -> Callable[[int, int, float], None]:
         now = time.monotonic()
         if now - last >= PLAIN_PROGRESS_SECONDS and done:
             last, left = now, (now - started) * (total - done) / done
-            _complain(0, f"{done / total:4.0%} done, {rate / 1e6:.1f} M rays/s, {left:.0f} s left")
+            _complain(0, f"{done / total:4.0%} done, {_rate(rate)}, {left:.0f} s left")
 
     return show
+
+
+def _rate(rays_per_second: float) -> str:
+    return (
+        f"{rays_per_second / 1e6:.1f} M rays/s" if rays_per_second >= 1e5 else f"{rays_per_second / 1e3:.0f} k rays/s"
+    )
 
 
 def _console() -> Console:
@@ -268,18 +281,17 @@ def _console() -> Console:
     return console
 
 
-def _say(text: str) -> None:
+def _say(text: str, style: str | None = None) -> None:
     """Print a paragraph, wrapped at the terminal's width."""
-    _console().print(text, markup=False)
+    _console().print(text, style=style, markup=False)
 
 
 def _report(measurement: Measurement, models: Sequence[Model], meter: _Meter, seconds: float) -> None:
     """What was measured, in two tables, and how well the models do."""
-    console = _console()
-    console.print(_albedo_table(measurement))
-    console.print(_energy_table(measurement))
+    _show("Albedo, the share of the light that comes back, ± standard error", _albedo_table(measurement))
+    _show("Orders of scattering in the reflected light, and what did not come back", _energy_table(measurement))
     paths = int(measurement.dataset["paths"].sum())
-    _say(f"{paths / 1e6:.3g} M paths in {seconds:.1f} s, {meter.rate / 1e6:.1f} M rays/s while tracing.")
+    _say(f"{paths / 1e6:.3g} M paths in {seconds:.1f} s; while tracing, {_rate(meter.rate)}.")
     if not models and int(measurement.dataset["realisations"].max()) == 1:
         _say("One specimen was measured: the errors are its Monte Carlo noise, other specimens may differ by more.")
     _judge(measurement, models)
@@ -291,7 +303,7 @@ def _albedo_table(measurement: Measurement) -> Table:
     wavelengths = dataset["wavelength"].values
     count = min(len(wavelengths), 3)
     chosen = [round(i * (len(wavelengths) - 1) / max(count - 1, 1)) for i in range(count)]
-    table = _incidence_table("Albedo, the share of the light that comes back, ± standard error")
+    table = _incidence_table()
     for i in chosen:
         table.add_column(f"{wavelengths[i]:g} nm", justify="right")
     for theta, phi in measurement.incidences():
@@ -306,7 +318,7 @@ def _albedo_table(measurement: Measurement) -> Table:
 def _energy_table(measurement: Measurement) -> Table:
     """Orders of scattering and the ledger, means over the wavelengths."""
     albedo, ledger = measurement.dataset["albedo"].mean("wavelength"), measurement.ledger().mean("wavelength")
-    table = _incidence_table("Orders of scattering in the reflected light, and what did not come back")
+    table = _incidence_table()
     for heading in ("1 hit", "2 hits", "3 or more", "absorbed", "lost or truncated"):
         table.add_column(heading, justify="right")
     for theta, phi in measurement.incidences():
@@ -322,9 +334,12 @@ def _energy_table(measurement: Measurement) -> Table:
     return table
 
 
-def _incidence_table(title: str) -> Table:
+def _incidence_table() -> Table:
     """A table whose first column says where the light comes from."""
-    table = _table(title)
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, caption_justify="left")
     table.add_column("light from", justify="right")
     return table
 
@@ -333,29 +348,28 @@ def _incidence(theta: float, phi: float) -> str:
     return f"{theta:g}°, {phi:g}°"
 
 
-def _table(title: str) -> Table:
-    from rich import box
-    from rich.table import Table
-
-    return Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, caption_justify="left")
+def _show(title: str, table: Table) -> None:
+    """Print a table under its title."""
+    _say(title, style="bold")
+    _console().print(table)
 
 
 def _with_error(value: float, error: float) -> str:
     """A value with as many digits as its standard error allows."""
-    if not error > 0:
-        return f"{value:.6f} ± 0"
+    if not error >= 5e-7:
+        return f"{value:.6f} ± {error:.0g}"
     decimals = min(max(1 - math.floor(math.log10(error)), 0), 6)
     return f"{value:.{decimals}f} ± {error:.{decimals}f}"
 
 
-def _models(measurement: Measurement, names: Sequence[str] | None) -> tuple[Model, ...]:
-    """The models to compare with."""
+def _models(measurement: Measurement, names: Sequence[str] | None) -> tuple[tuple[Model, ...], tuple[str, ...]]:
+    """The models to compare with, and why there are none: a measurement is worth keeping all the same."""
     from gonio.experiment import InputError, models_for
 
     try:
-        return models_for(measurement, names)
-    except ValueError as error:
-        raise InputError(str(error)) from None
+        return models_for(measurement, names), ()
+    except InputError as error:
+        return (), error.sentences
 
 
 def _judge(measurement: Measurement, models: Sequence[Model]) -> None:
@@ -365,7 +379,7 @@ def _judge(measurement: Measurement, models: Sequence[Model]) -> None:
     said: set[str] = set()
     for model in models:
         sentences = compare(measurement, model).sentences()
-        _console().print(f"\n[bold]{type(model).__name__}[/bold]")
+        _say(f"\n{type(model).__name__}", style="bold")
         for sentence in sentences:
             if sentence not in said:
                 _say(sentence)
@@ -378,11 +392,12 @@ def _judge(measurement: Measurement, models: Sequence[Model]) -> None:
 @app.command
 def surface(
     config: Path,
+    /,
     *,
     overrides: Overrides = (),
     seed: int | None = None,
     output: Output = None,
-    show: Annotated[bool, Parameter(negative="")] = False,
+    show: Annotated[bool, Parameter(negative="", show_default=False)] = False,
 ) -> None:
     """Build an experiment's surface and print its statistics.
 
@@ -404,12 +419,14 @@ def surface(
 
     experiment = _experiment(config, overrides, seed)
     relief = experiment.relief()
-    _console().print(_statistics_table(relief.statistics().as_dict()))
     if output is not None:
+        _make_writable(output.parent)
         try:
             save_surface(relief, output)
         except ValueError as error:
             raise InputError(str(error)) from None
+    _show("Statistics of the surface, measured on its facets", _statistics_table(relief.statistics().as_dict()))
+    if output is not None:
         print(f"Saved as {output}")
 
 
@@ -421,10 +438,10 @@ def _experiment(config: Path, overrides: Sequence[str], seed: int | None) -> Exp
 
 
 def _statistics_table(statistics: Mapping[str, float | None]) -> Table:
-    """Name, value and meaning of each statistic."""
-    table = _table("Statistics of the surface, measured on its facets")
-    table.add_column("")
-    table.add_column("", justify="right")
+    """Name and value of each statistic."""
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
     for name, value in statistics.items():
         unit = " µm" if name in ("Sa", "Sq") or name.startswith("correlation") else ""
         table.add_row(name, "not defined" if value is None else f"{value:.5g}{unit}")
@@ -435,7 +452,7 @@ def _statistics_table(statistics: Mapping[str, float | None]) -> Table:
 
 
 @app.command
-def compare(file: Path, *, models: ModelNames = ()) -> None:
+def compare(file: Path, /, *, models: ModelNames = ()) -> None:
     """Compare a measurement with closed-form models, whose roughness is the one measured on the surface.
 
     Parameters
@@ -445,12 +462,14 @@ def compare(file: Path, *, models: ModelNames = ()) -> None:
     models
         Name of a model, as often as needed; those that fit the material if not given.
     """
+    from gonio.experiment import models_for
+
     measurement = _load(file)
-    _judge(measurement, _models(measurement, models or None))
+    _judge(measurement, models_for(measurement, models or None))
 
 
 @app.command
-def plot(file: Path, *, output: Output = None) -> None:
+def plot(file: Path, /, *, output: Output = None) -> None:
     """Draw a measurement: lobes.png, slices.png, hemisphere.png.
 
     Parameters
@@ -460,16 +479,17 @@ def plot(file: Path, *, output: Output = None) -> None:
     output
         Folder for the pictures; the measurement's own if not given.
     """
+    from gonio.experiment import models_for
+
     measurement = _load(file)
     folder = output or file.parent
-    _check_writable(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in _draw(measurement, _models(measurement, None), folder):
+    _make_writable(folder)
+    for name in _draw(measurement, models_for(measurement), folder):
         print(folder / name)
 
 
 @app.command
-def export(file: Path, *, to: Path, format: str | None = None) -> None:
+def export(file: Path, /, *, to: Path, format: str | None = None) -> None:
     """Write a measurement in another program's format.
 
     Parameters
@@ -485,6 +505,7 @@ def export(file: Path, *, to: Path, format: str | None = None) -> None:
     from gonio.experiment import InputError
 
     measurement = _load(file)
+    _make_writable(to.parent)
     try:
         print(formats.export(measurement, to, format))
     except ValueError as error:
@@ -508,7 +529,7 @@ def _load(file: Path) -> Measurement:
 
 
 @app.command(name="list")
-def list_(name: str | None = None) -> None:
+def list_(name: str | None = None, /) -> None:
     """Show every surface, material, detector and model with its parameters and their defaults.
 
     Parameters
@@ -523,12 +544,12 @@ def list_(name: str | None = None) -> None:
     known = {cls.__name__: cls for classes in catalogue.values() for cls in classes}
     if name is None:
         for heading, classes in catalogue.items():
-            _console().print(f"[bold]{heading}[/bold]\n")
+            _say(f"{heading}\n", style="bold")
             for cls in classes:
                 _describe(cls, (cls.__doc__ or "").partition("\n")[0])
         _list_materials()
     elif name in known:
-        _describe(known[name], inspect.cleandoc(known[name].__doc__ or ""))
+        _describe(known[name], _reflowed(inspect.cleandoc(known[name].__doc__ or "")))
     else:
         raise InputError(f"{name} is none of {', '.join(known)}{did_you_mean(name, known)}")
 
@@ -558,16 +579,24 @@ def _catalogue() -> dict[str, list[type]]:
 def _describe(cls: type, text: str) -> None:
     """Print a recipe: its description, then a table of parameters, defaults and meanings."""
     from rich.table import Table
+    from rich.text import Text
 
     from microsurfaces.recipe import parameters
 
     console = _console()
-    console.print(f"[bold]{cls.__name__}[/bold]")
-    console.print(text, markup=False)
+    _say(cls.__name__, style="bold")
+    _say(text)
     table = Table.grid(padding=(0, 2, 0, 0))
     for name, field in parameters(cls).items():
-        table.add_row(f"  {name}", _default(field), " ".join((field.description or "").split()))
-    console.print(table, "")
+        row = (f"  {name}", _default(field), " ".join((field.description or "").split()))
+        table.add_row(*map(Text, row))
+    console.print(table, "") if table.row_count else console.print()
+
+
+def _reflowed(text: str) -> str:
+    """`text` with one line a paragraph, but for what is set in as formulas are."""
+    paragraphs = text.split("\n\n")
+    return "\n\n".join(p if p.startswith(" ") else " ".join(p.split("\n")) for p in paragraphs) + "\n"
 
 
 def _default(field: FieldInfo) -> str:
@@ -589,6 +618,5 @@ def _list_materials() -> None:
     table = Table.grid(padding=(0, 2, 0, 0))
     for symbol, english in materials().items():
         table.add_row(f"  {symbol}", english, citation(symbol))
-    console = _console()
-    console.print("[bold]Materials with a name: Conductor or Dielectric, name = ...[/bold]\n")
-    console.print(table)
+    _say("Materials with a name: Conductor or Dielectric, name = ...\n", style="bold")
+    _console().print(table)

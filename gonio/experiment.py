@@ -38,8 +38,8 @@ class Experiment:
     """Everything that decides the numbers of a measurement; with the same package versions, to the last bit.
 
     Realisation k of the surface is built and measured with seeds derived from (`seed`, k) alone, so that a longer
-    series begins with the shorter one. One realisation speaks of that specimen only; several speak of the class of
-    surfaces, with both noises in the standard errors.
+    series begins with the shorter one; only the slopes of V-grooves are stratified over all of them. One realisation
+    speaks of that specimen only; several speak of the class of surfaces, with both noises in the standard errors.
     """
 
     surface: Surface
@@ -61,16 +61,21 @@ class Experiment:
     @classmethod
     def _known_models(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
         for name in names or ():
-            model_named(name)
+            _model_class(name)
         return names
 
     @model_validator(mode="after")
-    def _material_covers_wavelengths(self) -> Self:
+    def _parts_fit(self) -> Self:
         if isinstance(self.material, Conductor | Dielectric):
             try:
                 self.material.refractive_index(self.goniometer.wavelengths)
             except ValueError as error:
                 raise ValueError(f"goniometer.wavelengths: {error}") from None
+        for name in self.compare or ():
+            try:
+                _model_of(name, {"beckmann_alpha": 1.0}, self.material)
+            except ValueError as error:
+                raise ValueError(f"compare = {list(self.compare or ())}: {error}") from None
         return self
 
     @classmethod
@@ -192,20 +197,40 @@ def _instruction_set() -> str:
     return str(binding.get_host_cpu_name())
 
 
-def model_named(name: str) -> Any:
-    """The class of a closed-form model; an unknown name is a ValueError that lists them."""
-    known = members(Model)
-    if name not in known:
-        raise ValueError(f"{name} is no model here; choose {', '.join(known)}{did_you_mean(name, known)}")
-    return known[name]
+def models_for(measurement: Measurement, names: Iterable[str] | None = None) -> tuple[Model, ...]:
+    """The models called `names`, or those that fit, with the measured specimen's own roughness and material.
 
-
-def models_for(measurement: Measurement, names: Iterable[str] | None = None) -> tuple[Any, ...]:
-    """The models called `names`, or those that fit, with the measured specimen's own roughness and material."""
+    Raises `InputError` with a sentence for each name that is none, or that cannot describe the specimen.
+    """
     statistics, material = measurement.surface_statistics, measurement.material
     if names is None:
         return matching(statistics, material)
-    return tuple(model_named(name).of(statistics, material) for name in names)
+    models, mistakes = [], []
+    for name in names:
+        try:
+            models.append(_model_of(name, statistics, material))
+        except ValueError as error:
+            mistakes.append(f"{name}: {error}")
+    if mistakes:
+        raise InputError(*mistakes)
+    return tuple(models)
+
+
+def _model_class(name: str) -> Any:
+    """The class of a closed-form model; an unknown name is a ValueError that lists them."""
+    known = members(Model)
+    if name not in known:
+        raise ValueError(f"there is no such model; choose from {', '.join(known)}{did_you_mean(name, known)}")
+    return known[name]
+
+
+def _model_of(name: str, statistics: Mapping[str, float | None], material: Material) -> Model:
+    """A model of a specimen; ValueError in one sentence where it cannot be one."""
+    try:
+        model: Model = _model_class(name).of(statistics, material)
+    except ValidationError as error:
+        raise ValueError(" ".join(sentences(error, _model_class(name)))) from None
+    return model
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

@@ -147,7 +147,7 @@ def _sentence(mistake: ErrorDetails, place: _Place) -> str:
         case "union_tag_invalid":
             tag = context["tag"]
             text = f"{kind} = {as_toml(tag)}: unknown; choose {_choice(tags)}{did_you_mean(tag, tags)}"
-        case "value_error" if str(context["error"]).partition(" ")[0] in fields:
+        case "value_error" if str(context["error"]).partition(" ")[0] in _inner(place.expected):
             text = f"{key}.{context['error']}".removeprefix(".")
         case "value_error" if not key or isinstance(value, Mapping | ArgsKwargs):
             text = f"{key}: {context['error']}".removeprefix(": ")
@@ -157,9 +157,16 @@ def _sentence(mistake: ErrorDetails, place: _Place) -> str:
             text = f"{key} = {as_toml(value)}: must be a table with the parameters of {_choice(tags)}".removeprefix(
                 " = "
             )
+        case "int_type" | "int_from_float" if isinstance(value, float) and value.is_integer():
+            text = f"{key} = {as_toml(value)}: must be a whole number, written {int(value)}"
         case other:
             text = f"{key} = {as_toml(value)}: must be {_expectation(other, context) or mistake['msg']}"
     return text if text.endswith((".", "?", "!")) else text + "."
+
+
+def _inner(expected: Any) -> dict[str, FieldInfo]:
+    """The parameters of the recipe that belongs in a place, if it can only be one."""
+    return parameters(next(iter(members(expected).values()), None)) if len(members(expected)) == 1 else {}
 
 
 def _expectation(kind: str, context: Mapping[str, Any]) -> str:

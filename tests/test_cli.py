@@ -1,0 +1,326 @@
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gonio
+import microsurfaces as ms
+from gonio.cli import main
+from gonio.experiment import Experiment
+
+TOY = """
+title = "A toy"
+realisations = 2
+[surface]
+kind = "Gaussian"
+alpha = 0.3
+side = 100.0
+samples = 32
+[material]
+kind = "Conductor"
+name = "Au"
+[goniometer]
+theta_i = [0.0, 30.0]
+paths = 400
+replicates = 4
+detector = {kind = "HemisphereGrid", theta_step = 10.0, phi_step = 20.0}
+"""
+
+Gonio = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Gonio:
+    """Runs `gonio` in a folder of its own that holds toy.toml; (exit code, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    Path("toy.toml").write_text(TOY)
+
+    def command(*tokens: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as exit_:
+            main(tokens)
+        out, err = capsys.readouterr()
+        assert isinstance(exit_.value.code, int)
+        assert "Traceback" not in err
+        return exit_.value.code, out, err
+
+    return command
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves out the pictures, which take longer than all the rest."""
+    monkeypatch.setattr("gonio.cli._draw", lambda *_: [])
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a small measurement."""
+    folder = tmp_path_factory.mktemp("measured")
+    (folder / "toy.toml").write_text(TOY)
+    return gonio.save(Experiment.read(folder / "toy.toml").run(), folder / "toy.nc")
+
+
+def files() -> set[str]:
+    return {str(path) for path in Path().rglob("*") if path.is_file()}
+
+
+# --- What it does ----------------------------------------------------------------------------------------------------
+
+
+def test_run_writes_the_results_and_prints_what_was_measured(run: Gonio) -> None:
+    code, out, err = run("run", "toy.toml", "--threads", "1")
+    assert code == 0, err
+    results = {"measurement.nc", "experiment.toml", "lobes.png", "slices.png", "hemisphere.png"}
+    assert files() == {"toy.toml"} | {f"out/toy/{name}" for name in results}
+    assert all(len(line) <= 80 for line in out.splitlines())
+    measurement = gonio.load("out/toy/measurement.nc")
+    albedo = measurement.albedo()["albedo"].sel(theta_i=30, phi_i=0, wavelength=550).item()
+    row = re.search(r"30°, 0° +(.*)", out)
+    assert row is not None
+    values = [float(value) for value in re.findall(r"([\d.]+) ±", row[1])]
+    assert values[1] == pytest.approx(albedo, abs=0.01)
+    for words in ("450 nm", "1 hit", "lost or truncated", "rays/s", "CookTorrance", "Microfacet", *results):
+        assert words in out
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_resolved_experiment_gives_the_same_file(run: Gonio) -> None:
+    assert run("run", "toy.toml", "-o", "first", "--seed", "5", "--set", "surface.alpha=0.2", "--quiet")[0] == 0
+    assert run("run", "first/experiment.toml", "-o", "second", "--threads", "2", "--quiet")[0] == 0
+    for name in ("measurement.nc", "experiment.toml"):
+        assert Path("first", name).read_bytes() == Path("second", name).read_bytes()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_quiet_prints_nothing(run: Gonio) -> None:
+    assert run("run", "toy.toml", "--quiet") == (0, "", "")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_one_specimen_is_said_to_be_one(run: Gonio) -> None:
+    code, out, _ = run("run", "toy.toml", "--set", "surface={kind='Flat'}", "--set", "realisations=1")
+    assert code == 0
+    assert "One specimen was measured" in out
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_model_that_cannot_describe_the_specimen_does_not_lose_the_measurement(run: Gonio) -> None:
+    changes = ("--set", "surface={kind='Flat'}", "--set", "compare=['CookTorrance']")
+    code, _, err = run("run", "toy.toml", *changes)
+    assert code == 0
+    assert err.startswith("CookTorrance: ")
+    assert gonio.load("out/toy/measurement.nc")
+
+
+def test_an_aperture_measurement_says_which_pictures_it_has_none_of(run: Gonio) -> None:
+    code, _, err = run("run", "toy.toml", "--set", "goniometer.detector={kind='Apertures', directions=[[30.0, 180.0]]}")
+    assert code == 0
+    assert "No lobes.png: " in err
+    assert "out/toy/measurement.nc" in files()
+    assert "out/toy/lobes.png" not in files()
+
+
+@pytest.mark.parametrize("name", ["toy.npy", "toy.exr", "new/toy.ply", "toy.stl"])
+def test_surface_prints_statistics_and_saves(run: Gonio, name: str) -> None:
+    code, out, _ = run("surface", "toy.toml", "-o", name)
+    assert code == 0
+    statistics = Experiment.read("toy.toml").relief().statistics()
+    assert f"{statistics.beckmann_alpha:.5g}" in out
+    assert f"{statistics.Sq:.5g} µm" in out
+    assert Path(name).stat().st_size > 1000
+
+
+def test_compare_judges_the_models_asked_for(run: Gonio, measured: Path) -> None:
+    code, out, _ = run("compare", str(measured), "--model", "Microfacet")
+    assert code == 0
+    assert "Microfacet" in out
+    assert "CookTorrance" not in out
+
+
+def test_plot_draws_into_a_folder(run: Gonio, measured: Path) -> None:
+    code, out, _ = run("plot", str(measured), "-o", "pictures")
+    assert code == 0
+    assert out.split() == [f"pictures/{name}.png" for name in ("lobes", "slices", "hemisphere")]
+    assert files() == {"toy.toml", *out.split()}
+
+
+def test_export_writes_the_format_of_the_suffix(run: Gonio, measured: Path) -> None:
+    assert run("export", str(measured), "--to", "new/toy.exr")[0] == 0
+    assert run("export", str(measured), "--to", "toy.data", "--format", "exr")[0] == 0
+    assert Path("toy.data").read_bytes()[:4] == Path("new/toy.exr").read_bytes()[:4] == b"\x76\x2f\x31\x01"
+
+
+def test_list_shows_every_recipe_and_every_parameter(run: Gonio) -> None:
+    code, out, _ = run("list")
+    assert code == 0
+    assert all(len(line) <= 80 for line in out.splitlines())
+    for words in ("Gaussian", "correlation_length", "HemisphereGrid", "CookTorrance", "Au", "N-BK7", "doi:10.1103"):
+        assert words in out
+    assert "Cook and E. Torrance" in " ".join(run("list", "Gaussian")[1].split()).replace("K. E.", "E.")
+
+
+def test_help_and_version_import_nothing_heavy() -> None:
+    for flag in ("--help", "--version"):
+        code = f"import sys; sys.argv = ['gonio', {flag!r}]\nimport atexit\n" + (
+            "atexit.register(lambda: print(sorted({m.split('.')[0] for m in sys.modules})))\n"
+            "from gonio.cli import main; main()"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        loaded = done.stdout.splitlines()[-1]
+        assert "cyclopts" in loaded
+        for heavy in ("numpy", "pydantic", "numba", "scipy", "xarray", "matplotlib", "pyvista", "trimesh", "embreex"):
+            assert f"'{heavy}'" not in loaded
+
+
+def test_python_m_gonio_is_the_same_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "gonio", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == gonio.__version__
+
+
+def test_public_names_are_all_there() -> None:
+    for name in gonio.__all__:
+        assert getattr(gonio, name) is not None
+    assert callable(gonio.compare)
+    assert set(dir(gonio)) == set(gonio.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        gonio.nothing  # noqa: B018  (the lookup is the test)
+
+
+# --- What goes wrong -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("tokens", "code", "words"),
+    [
+        ("run missing.toml", 2, "missing.toml: there is no such file"),
+        ("run toy.tml", 2, "did you mean toy.toml?"),
+        ("run", 2, "CONFIG requires an argument"),
+        ("rum toy.toml", 2, 'Did you mean "run"?'),
+        ("run toy.toml --thread 2", 2, "Did you mean --threads?"),
+        ("run toy.toml --threads two", 2, 'unable to convert "two" into int'),
+        ("run toy.toml --threads 0", 2, "--threads 0: must be 1 or more."),
+        ("run toy.toml --seed -1", 2, "seed = -1: must be 0 or more."),
+        ("run toy.toml --set nonsense", 2, "--set 'nonsense': must be key=value"),
+        ("run toy.toml --set surface.aplha=1", 2, "did you mean alpha?"),
+        ("run toy.toml --set surface.alpha=-1", 2, "surface.alpha = -1: must be greater than 0."),
+        ("run toy.toml --set goniometer.theta_i=[90]", 2, "goniometer.theta_i[0] = 90: must be less than 90."),
+        ("run toy.toml --set material.kind=Gold", 2, "choose Mirror, Conductor, Dielectric or Lambertian."),
+        ("run toy.toml -o toy.toml", 1, "toy.toml is a file: give another folder with -o."),
+        ("run toy.toml -o toy.toml/sub", 1, "toy.toml/sub cannot be written"),
+        ("surface toy.toml -o toy.png", 2, "expected one of .npy, .exr, .ply, .stl"),
+        ("surface toy.toml -o toy.toml/x.npy", 1, "toy.toml is a file"),
+        ("compare missing.nc", 2, "missing.nc: there is no such file"),
+        ("compare toy.toml", 2, "not a measurement that gonio wrote"),
+        ("plot toy.toml", 2, "not a measurement that gonio wrote"),
+        ("export toy.toml --to x.exr", 2, "not a measurement that gonio wrote"),
+        ("list Gausian", 2, "did you mean Gaussian?"),
+    ],
+)
+def test_what_goes_wrong_is_one_sentence(run: Gonio, tokens: str, code: int, words: str) -> None:
+    found, out, err = run(*tokens.split())
+    assert found == code
+    assert words in err
+    assert err.count("\n") == 1
+    assert err.endswith((".\n", "?\n"))
+    assert out == ""
+    assert files() == {"toy.toml"}
+
+
+@pytest.mark.parametrize(
+    ("tokens", "code", "words"),
+    [
+        ("compare NC --model Wardd", 2, "Wardd: there is no such model"),
+        ("compare NC --model Lambert", 2, "Lambert"),
+        ("export NC --to toy.foo", 2, "the formats are .exr"),
+        ("export NC --to toy.toml/x.exr", 1, "toy.toml is a file"),
+        ("plot NC -o toy.toml", 1, "is a file"),
+        ("compare CUT", 2, "not a measurement that gonio wrote"),
+    ],
+)
+def test_what_goes_wrong_with_a_measurement_is_one_sentence(
+    run: Gonio, measured: Path, tokens: str, code: int, words: str
+) -> None:
+    Path("cut.nc").write_bytes(measured.read_bytes()[:5000])
+    found, out, err = run(*tokens.replace("NC", str(measured)).replace("CUT", "cut.nc").split())
+    assert found == code
+    assert words in err
+    assert err.count("\n") == 1
+    assert out == ""
+    assert files() == {"toy.toml", "cut.nc"}
+
+
+def test_all_mistakes_are_told_one_a_line(run: Gonio) -> None:
+    code, _, err = run("run", "toy.toml", "--set", "surface.alpha=nan", "--set", "material.name=3", "--set", "seed=-1")
+    assert code == 2
+    assert [line.split(" ")[0] for line in err.splitlines()] == ["surface.alpha", "material.name", "seed"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (np.array([[0.0, np.nan], [0.0, 0.0]]), "NaN"),
+        (np.zeros((1, 1)), "expected at least 2 x 2"),
+        (b"", "damaged or of another type"),
+    ],
+)
+def test_a_bad_height_map_is_one_sentence_and_writes_nothing(
+    run: Gonio, content: np.ndarray | bytes, words: str
+) -> None:
+    Path("map.npy").write_bytes(content) if isinstance(content, bytes) else np.save("map.npy", content)
+    table = "{kind='HeightFieldFile', path='map.npy', pixel_size=1.0, unit='um', periodic='as is'}"
+    code, _, err = run("run", "toy.toml", "--set", f"surface={table}")
+    assert code == 2
+    assert words in err
+    assert err.count("\n") == 1
+    assert files() == {"toy.toml", "map.npy"}
+
+
+def test_a_failed_run_leaves_older_results_alone(run: Gonio) -> None:
+    Path("out/toy").mkdir(parents=True)
+    Path("out/toy/measurement.nc").write_text("older")
+    assert run("run", "toy.toml", "--set", "surface.alpha=-1")[0] == 2
+    assert Path("out/toy/measurement.nc").read_text() == "older"
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_ctrl_c_saves_what_was_measured_and_says_so(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Experiment.scene
+
+    def interrupted(self: Experiment, realisation: int = 0) -> gonio.Scene:
+        if realisation == 1:
+            raise KeyboardInterrupt
+        return scene(self, realisation)
+
+    monkeypatch.setattr(Experiment, "scene", interrupted)
+    code, _, err = run("run", "toy.toml")
+    assert code == 1
+    assert err == "Interrupted: out/toy/measurement.nc holds what had been measured.\n"
+    assert gonio.load("out/toy/measurement.nc").interrupted
+
+
+def test_ctrl_c_before_anything_was_measured_writes_nothing(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(self: ms.Gaussian, seed: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ms.Gaussian, "build", interrupted)
+    assert run("run", "toy.toml") == (1, "", "Interrupted before anything was measured: nothing was written.\n")
+    assert files() == {"toy.toml"}
+
+
+def test_too_little_memory_is_one_sentence(run: Gonio) -> None:
+    many = ", ".join(str(400 + i / 10) for i in range(2000))
+    grid = "{kind='HemisphereGrid', theta_step=0.05, phi_step=0.05}"
+    code, _, err = run(
+        "run", "toy.toml", "--set", f"goniometer.wavelengths=[{many}]", "--set", f"goniometer.detector={grid}"
+    )
+    assert code == 1
+    assert "GiB of memory" in err
+    assert err.count("\n") == 1
+    assert files() == {"toy.toml"}
