@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from gonio.experiment import Experiment
     from gonio.measurement import Measurement
     from gonio.models import Model
+    from microsurfaces import HeightField, Mesh
 
 WIDTH = 100
 """No line is wider, however wide the terminal is."""
@@ -428,6 +429,19 @@ def surface(
     _show("Statistics of the surface, measured on its facets", _statistics_table(relief.statistics().as_dict()))
     if output is not None:
         print(f"Saved as {output}")
+    if show:
+        _open_window(relief)
+
+
+def _open_window(relief: HeightField | Mesh) -> None:
+    """Show a surface until its window is closed."""
+    from gonio import plots
+    from microsurfaces import Mesh
+
+    try:
+        plots.show(relief if isinstance(relief, Mesh) else relief.mesh())
+    except RuntimeError as error:
+        raise RunError(f"No window: {error}") from None
 
 
 def _experiment(config: Path, overrides: Sequence[str], seed: int | None) -> Experiment:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from gonio.detectors import Detector
     from gonio.measurement import Measurement
     from gonio.models import Model
+    from microsurfaces import Mesh
 
 Array = NDArray[np.float64]
 PathLike = str | os.PathLike[str]
@@ -766,3 +767,25 @@ def _map_legend() -> list[Artist]:
         Line2D([], [], marker="v", color=LAMP, ls="none", ms=9, label="lamp (dphi = 0°)"),
         Line2D([], [], marker="^", color=MIRROR, ls="none", ms=8, label="mirror direction (dphi = 180°)"),
     ]
+
+
+# --- The surface itself ----------------------------------------------------------------------------------------------
+
+
+def show(mesh: Mesh) -> None:
+    """Open a window with one period of a surface, true to scale and coloured by height; return when it is closed.
+
+    Raises RuntimeError where there is no screen, or no GL library to draw with.
+    """
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        raise RuntimeError("there is no screen to open a window on (DISPLAY is not set): save the surface to a file")
+    if not _can_render():
+        raise RuntimeError("there is no GL library to draw with: install one (Debian: libegl1), or save the surface")
+    import pyvista
+
+    surface = pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces.astype(np.int64))
+    surface["height (µm)"] = mesh.vertices[:, 2]
+    plotter: Any = pyvista.Plotter()
+    plotter.add_mesh(surface, cmap=COLOURS)
+    plotter.add_axes()
+    plotter.show()

@@ -137,6 +137,21 @@ def test_surface_prints_statistics_and_saves(run: Gonio, name: str) -> None:
     assert Path(name).stat().st_size > 1000
 
 
+def test_show_opens_a_window(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[ms.Mesh] = []
+    monkeypatch.setattr("gonio.plots.show", shown.append)
+    assert run("surface", "toy.toml", "--show")[0] == 0
+    assert len(shown[0].faces) == 2 * 32**2
+
+
+def test_without_a_screen_show_says_so(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    code, _, err = run("surface", "toy.toml", "--show")
+    assert code == 1
+    assert err.startswith("No window: there is no screen")
+
+
 def test_compare_judges_the_models_asked_for(run: Gonio, measured: Path) -> None:
     code, out, _ = run("compare", str(measured), "--model", "Microfacet")
     assert code == 0
