@@ -130,6 +130,8 @@ def _save(figure: Figure, path: PathLike) -> Path:
 
 PATCH = 3.0
 """Degrees over which a lobe is averaged before it is drawn: bins near the pole are so small that they are all noise."""
+VERTEX = 1.5
+"""Degrees between the vertices of a lobe."""
 CAMERA = direction(66.0, 112.0)
 """Toward the viewer, in the frame in which the lamp is at azimuth 0: the lamp is on the left."""
 RIGHT = np.cross((0.0, 0.0, 1.0), CAMERA) / np.linalg.norm(np.cross((0.0, 0.0, 1.0), CAMERA))
@@ -166,14 +168,16 @@ def lobes(measurement: Measurement, path: PathLike, wavelength: float | None = N
     for panel in panels.flat:
         panel.set(xlim=WINDOW[:2], ylim=WINDOW[2:], aspect="equal")
         panel.set_axis_off()
-    _head(figure, measurement, f"{nm:g} nm", scale.words, _resolution(measurement), choice)
+    _head(
+        figure,
+        measurement,
+        f"{nm:g} nm",
+        scale.words,
+        f"averaged over {_patch(measurement.dataset):.2g}° patches",
+        choice,
+    )
     _colour_bar(figure, panels, scale.norm, r"BRDF $\cdot\,\cos\theta_o$  (sr⁻¹)")
     return _save(figure, path)
-
-
-def _resolution(measurement: Measurement) -> str:
-    widest = float(np.diff(measurement.dataset["theta_o_bounds"].values).max())
-    return f"averaged over {PATCH:g}° patches" if widest < PATCH else f"bins of up to {widest:.3g}°"
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,33 +193,19 @@ class _Lobe:
 
     @classmethod
     def of(cls, data: xr.Dataset, nm: float) -> _Lobe:
-        """Pool the bins of one incidence into patches of about `PATCH` degrees."""
-        energy, edges, dphi = _energies(data, nm)
-        step = np.radians(360.0 / len(dphi))
-        middles = (edges[:-1] + edges[1:]) / 2
-        starts = np.unique(middles // PATCH, return_index=True)[1]
-        edges = np.append(edges[starts], 90.0)
-        solid = -np.diff(np.cos(np.radians(edges))) * step
-        rings = np.add.reduceat(energy, starts, axis=0) / solid[:, None]
-        theta = (edges[:-1] + edges[1:]) / 2
-        value = np.stack(
-            [
-                _smooth(ring, PATCH / np.sin(np.radians(t)) * len(dphi) / 360)
-                for ring, t in zip(rings, theta, strict=True)
-            ]
-        )
-        # A single vertex closes the surface at the pole, and no light leaves along the horizon.
-        pole = np.full((1, len(dphi)), rings[0].mean())
-        first = 0 if edges[1] > 1.5 * PATCH else 1
-        value = np.concatenate([pole, value[first:], np.zeros_like(pole)])
-        return cls(np.concatenate([[0.0], theta[first:], [90.0]]), dphi, value)._refined()
+        """Average the bins of one incidence around each vertex, weighted with the solid angle and a smooth patch."""
+        from scipy.spatial import KDTree
 
-    def _refined(self) -> _Lobe:
-        """The same lobe with coarse bins joined by straight interpolation, so that it looks round."""
-        theta = np.union1d(self.theta, np.arange(0.0, 90.0, PATCH))
-        dphi = np.linspace(0.0, 360.0, max(len(self.dphi), 120), endpoint=False)
-        around = np.stack([np.interp(dphi, self.dphi, ring, period=360.0) for ring in self.value])
-        return _Lobe(theta, dphi, np.stack([np.interp(theta, self.theta, column) for column in around.T], axis=1))
+        theta, dphi = np.arange(0.0, 90.01, VERTEX), np.arange(0.0, 360.0, VERTEX)
+        light, solid, directions = _pieces(data, nm)
+        # The horizon gets no patch: the cosine leaves no light along it.
+        vertices = direction(theta[:-1, None], dphi).reshape(-1, 3)
+        reach = 2 * np.sin(np.radians(_patch(data)) / 2)
+        pairs = KDTree(vertices).sparse_distance_matrix(KDTree(directions), reach, output_type="ndarray")
+        weight = (1 - (pairs["v"] / reach) ** 2) ** 2
+        sums = (np.bincount(pairs["i"], weight * x[pairs["j"]], minlength=len(vertices)) for x in (light, solid))
+        value = np.divide(*sums).reshape(len(theta) - 1, len(dphi))
+        return cls(theta, dphi, np.concatenate([value, np.zeros((1, len(dphi)))]))
 
     @property
     def solid_angle(self) -> float:
@@ -228,20 +218,26 @@ class _Lobe:
         return radius[..., None] * direction(self.theta[:, None], self.dphi[None, :])
 
 
-def _energies(data: xr.Dataset, nm: float) -> tuple[Array, Array, Array]:
-    """Share of the light in every bin (rings, sectors), ring edges and sector centres in degrees."""
+def _patch(data: xr.Dataset) -> float:
+    """Degrees over which the bins are averaged: `PATCH`, or a bin where bins are larger."""
+    return max(PATCH, 90 / data.sizes["theta_o"])
+
+
+def _pieces(data: xr.Dataset, nm: float) -> tuple[Array, Array, Array]:
+    """Light, solid angles (n,) and directions (n, 3) of the bins, cut into pieces of half a patch at most."""
+    rings, sectors = (data[f"{name}_bounds"].values for name in ("theta_o", "dphi"))
+    pieces = np.ceil(np.diff(rings, axis=1)[:, 0] / (PATCH / 2)).astype(int)
+    edges = [np.linspace(low, high, n, endpoint=False) for (low, high), n in zip(rings, pieces, strict=True)]
+    theta = np.radians(np.append(np.concatenate(edges), 90.0))
+    cuts = int(np.ceil(360 / len(sectors) / (PATCH / 2)))
+    dphi = np.linspace(sectors[0, 0], sectors[-1, 1], cuts * len(sectors), endpoint=False)
+    step = np.radians(360 / len(dphi))
     brdf = data["brdf"].sel(order="all", wavelength=nm).transpose("theta_o", "dphi").values
-    omega = data["projected_solid_angle"].transpose("theta_o", "dphi").values
-    bounds = data["theta_o_bounds"].values
-    return brdf * omega, np.append(bounds[:, 0], bounds[-1, 1]), data["dphi"].values
-
-
-def _smooth(ring: Array, width: float) -> Array:
-    """Running mean over about `width` sectors of a closed ring."""
-    half = min(round((width - 1) / 2), (len(ring) - 1) // 2)
-    if half < 1:
-        return ring
-    return np.asarray(np.mean([np.roll(ring, k) for k in range(-half, half + 1)], axis=0))
+    brdf = np.repeat(np.repeat(brdf, pieces, axis=0), cuts, axis=1)
+    light = brdf * (np.diff(np.sin(theta) ** 2) / 2 * step)[:, None]
+    solid = np.broadcast_to((-np.diff(np.cos(theta)) * step)[:, None], light.shape)
+    middle = np.degrees(theta[1:] + theta[:-1]) / 2
+    return light.ravel(), solid.ravel(), direction(middle[:, None], dphi + np.degrees(step) / 2).reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -559,8 +555,15 @@ def _curves(panel: Axes, incidence: _Incidence, cut: _Cut, wavelengths: Sequence
             value, error = cut.read(incidence.data, order, nm)
             value = np.where(enough & (value > 0), value, np.nan)
             panel.plot(cut.angle, value, ls=style, color=_hue(nm), lw=1.6 if whole else 1.0)
+            panel.plot(cut.angle, _alone(value), ".", color=_hue(nm), ms=7 if whole else 4)
             low, high = np.maximum(value - 2 * error, np.finfo(float).tiny), value + 2 * error
             panel.fill_between(cut.angle, low, high, color=_hue(nm), alpha=0.3 if whole else 0.15, lw=0)
+
+
+def _alone(value: Array) -> Array:
+    """`value` where it has no neighbour to draw a line to, else NaN: the one bin of a mirror."""
+    known = np.pad(np.isfinite(value), 1)
+    return np.where(known[:-2] | known[2:], np.nan, value)
 
 
 def _points(panel: Axes, incidence: _Incidence, cut: _Cut, wavelengths: Sequence[float]) -> None:
@@ -755,17 +758,21 @@ def _mark_map(panel: Any, incidence: _Incidence) -> None:
     panel.tick_params(axis="x", pad=0)
     panel.grid(color="black", lw=0.4, alpha=0.35)
     panel.patch.set(facecolor="#e6e6e6", hatch="////", edgecolor="#b0b0b0")
-    style = {"ls": "none", "mec": "white", "mew": 1.0, "clip_on": False, "zorder": 6}
-    panel.plot(0.0, incidence.theta, marker="v", color=LAMP, ms=10, **style)
-    panel.plot(np.pi, incidence.theta, marker="^", color=MIRROR, ms=8, **style)
+    # Hollow, so that the one bin of a mirror shows.
+    style = {"mfc": "none", "mew": 1.6, "clip_on": False, "zorder": 6}
+    halo = [withStroke(linewidth=3.2, foreground="white")]
+    panel.plot(0.0, incidence.theta, "v", mec=LAMP, ms=10, path_effects=halo, **style)
+    panel.plot(np.pi, incidence.theta, "^", mec=MIRROR, ms=10, path_effects=halo, **style)
 
 
 def _map_legend() -> list[Artist]:
     from matplotlib.lines import Line2D
 
     return [
-        Line2D([], [], marker="v", color=LAMP, ls="none", ms=9, label="lamp (dphi = 0°)"),
-        Line2D([], [], marker="^", color=MIRROR, ls="none", ms=8, label="mirror direction (dphi = 180°)"),
+        Line2D([], [], marker="v", mec=LAMP, mfc="none", mew=1.6, ls="none", ms=9, label="lamp (dphi = 0°)"),
+        Line2D(
+            [], [], marker="^", mec=MIRROR, mfc="none", mew=1.6, ls="none", ms=9, label="mirror direction (dphi = 180°)"
+        ),
     ]
 
 
@@ -783,7 +790,8 @@ def show(mesh: Mesh) -> None:
         raise RuntimeError("there is no GL library to draw with: install one (Debian: libegl1), or save the surface")
     import pyvista
 
-    surface = pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces.astype(np.int64))
+    faces: Any = mesh.faces.astype(np.int64)
+    surface = pyvista.PolyData.from_regular_faces(mesh.vertices, faces)
     surface["height (µm)"] = mesh.vertices[:, 2]
     plotter: Any = pyvista.Plotter()
     plotter.add_mesh(surface, cmap=COLOURS)

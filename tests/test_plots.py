@@ -164,26 +164,32 @@ def test_lobes_have_the_lamp_left_and_the_mirror_right(rendered, tmp_path, monke
     ],
 )
 def test_a_lambertian_lobe_is_a_sphere(grid):
-    """f cos averaged over a ring from a to b by solid angle is f (cos a + cos b)/2; the ring's width bends it."""
-    lobe = plots._Lobe.of(from_function(lambda t, p: 0.5 / np.pi, grid).dataset.isel(theta_i=0, phi_i=0), 550.0)
-    widest = np.radians(max(plots.PATCH + np.diff(grid.theta_edges).max(), np.diff(grid.theta_edges)[0]))
+    """f cos, but where the horizon cuts the patch, and as round as the patch that it is averaged over lets it be."""
+    data = from_function(lambda t, p: 0.5 / np.pi, grid).dataset.isel(theta_i=0, phi_i=0)
+    lobe = plots._Lobe.of(data, 550.0)
+    patch = plots._patch(data)
     expected = 0.5 / np.pi * np.cos(np.radians(lobe.theta))
-    # Half a ring is drawn at its middle, and the polar patch at the pole.
-    np.testing.assert_allclose(lobe.value, np.broadcast_to(expected[:, None], lobe.value.shape), atol=widest / 2 / 6)
+    inside = lobe.theta < 90 - patch
+    # cos averaged over a patch of radius r differs by cos r²/4 at most, on pieces that are half a patch wide.
+    tolerance = 0.5 / np.pi * (np.radians(patch) ** 2 / 4 + 0.01)
+    np.testing.assert_allclose(
+        lobe.value[inside], np.broadcast_to(expected[:, None], lobe.value.shape)[inside], atol=tolerance
+    )
     assert lobe.theta[0] == 0
     assert lobe.theta[-1] == 90
     assert not lobe.value[-1].any()
+    assert lobe.solid_angle == pytest.approx(np.pi, rel=0.01)
 
 
 def test_patches_average_with_the_solid_angle():
-    """One bin of light near the pole keeps its energy when it is pooled, and makes no spike."""
+    """One bin of light near the pole keeps its energy and makes no spike: a patch of it at most, (1 - (d/r)²)² wide."""
     grid = HemisphereGrid()
     spike = from_function(lambda t, p: ((t == 2) & (p == 90)) * 1.0, grid).dataset.isel(theta_i=0, phi_i=0)
     lobe = plots._Lobe.of(spike, 550.0)
     energy = grid.projected_solid_angles().reshape(grid.shape)[2, 90]
-    cap = 2 * np.pi * (1 - np.cos(np.radians(2.5)))
-    assert lobe.value[0] == pytest.approx(energy / cap)
-    assert lobe.value.max() == pytest.approx(energy / cap)
+    patch = np.pi * np.radians(plots.PATCH) ** 2 / 3
+    assert lobe.value.max() == pytest.approx(energy / patch, rel=0.1)
+    assert lobe.dphi[np.unravel_index(lobe.value.argmax(), lobe.value.shape)[1]] == 90
 
 
 def test_the_radius_is_logarithmic_only_for_needles_and_unequal_lobes():
