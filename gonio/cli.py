@@ -225,8 +225,8 @@ class _Meter:
 
     def __call__(self, done: int, total: int, rays: int) -> None:
         now = time.monotonic()
-        # A longer pause is a surface being built, not light being traced.
-        if now - self._last < 2:
+        # Without new rays a kernel is being compiled, and a long pause is a surface being built.
+        if rays > self.rays and now - self._last < 2:
             self._seconds += now - self._last
         self._last, self.rays = now, rays
         self._show(done, total, self.rate)
