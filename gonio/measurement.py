@@ -7,6 +7,7 @@ former follows from the latter, so measurements of further specimens merge exact
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import tempfile
@@ -21,7 +22,7 @@ from pydantic import TypeAdapter
 
 from gonio.detectors import Apertures, Detector, HemisphereGrid
 from gonio.optics import Material
-from gonio.sphere import Vectors, angles, direction, half_vector, reflect
+from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z
 from gonio.tally import MAX_PATHS, UNIT, Wide
 
 if TYPE_CHECKING:
@@ -55,15 +56,12 @@ class Measurement:
     attributes: dict[str, Any]
     """Provenance: goniometer, detector, material, surface_statistics (JSON), seed, versions, isotropic, interrupted."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_dataset", _labelled(self.sums, self.detector, self.attributes))
-
-    @property
+    @functools.cached_property
     def dataset(self) -> xr.Dataset:
         """Everything measured, with labels, units and provenance."""
-        return self._dataset  # type: ignore[attr-defined, no-any-return]
+        return _labelled(self.sums, self.detector, self.attributes)
 
-    @property
+    @functools.cached_property
     def detector(self) -> Detector:
         """The detector recipe."""
         return _DETECTOR.validate_json(self.attributes["detector"])
@@ -173,7 +171,7 @@ class Measurement:
                 azimuth = phi if self.isotropic else self.sums["phi_i"].values[column]
                 measured_wi = direction(self.sums["theta_i"].values[row], azimuth)
                 # The light's own change of azimuth turns the half vector with it.
-                moved = reflect(measured_wi, _turned(wh, azimuth - phi))
+                moved = reflect(measured_wi, rotate_z(wh, azimuth - phi))
                 share = weight_t * weight_p
                 value += share[..., None] * _read(table, self.detector, row, column, measured_wi, moved, wo)
         return np.where((wo[..., 2] > 0)[..., None], value, 0.0)
@@ -183,13 +181,6 @@ class Measurement:
         apart = np.abs(self.sums["phi_i"].values - phi) % 360
         columns = np.flatnonzero((np.minimum(apart, 360 - apart) < 1e-6) | (theta < 1e-6))
         return (int(rows[0]), int(columns[0])) if rows.size and columns.size else None
-
-
-def _turned(w: Vectors, degrees: Floats) -> Vectors:
-    a = np.radians(degrees)
-    c, s = np.cos(a), np.sin(a)
-    x, y, z = np.moveaxis(w, -1, 0)
-    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
 
 
 def _bracket(nodes: Floats, values: Floats, name: str) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Floats]:
@@ -268,7 +259,7 @@ def _labelled(sums: xr.Dataset, detector: Detector, attributes: dict[str, Any]) 
     area = np.append(detector.projected_solid_angles(), 1.0)[:, None]
     incidence = ("theta_i", "phi_i")
     bin_dims = ("theta_o", "dphi") if isinstance(detector, HemisphereGrid) else ("detector",)
-    dataset = xr.Dataset(coords={"order": list(ORDERS), **{d: sums[d] for d in (*incidence, "wavelength")}})
+    per_bin, total = ("order", *incidence, *bin_dims, "wavelength"), ("order", *incidence, "wavelength")
     shape = detector.shape
 
     def binned(x: NDArray[Any]) -> NDArray[Any]:
@@ -276,23 +267,22 @@ def _labelled(sums: xr.Dataset, detector: Detector, attributes: dict[str, Any]) 
         front = np.moveaxis(x[:, :, :, :-1], 2, 0)
         return front.reshape(*front.shape[:3], *shape, *front.shape[4:])
 
-    per_bin = ("order", *incidence, *bin_dims, "wavelength")
-    for name, x in (("brdf", values), ("standard_error", whole), ("standard_error_mc", mc)):
-        dataset[name] = (per_bin, binned(x / area))
-        suffix = name.removeprefix("brdf")
-        total = (("order", *incidence, "wavelength"), np.moveaxis(x[:, :, :, -1], 2, 0))
-        dataset[f"albedo_{suffix}" if suffix else "albedo"] = total
-    dataset["hits"] = (per_bin[:-1], binned(sums["hits"].values))
-    dataset["projected_solid_angle"] = (bin_dims, area[:-1, 0].reshape(shape))
+    variables: dict[str, Any] = {}
+    for suffix, x in (("", values), ("_standard_error", whole), ("_standard_error_mc", mc)):
+        variables[f"brdf{suffix}".removeprefix("brdf_")] = (per_bin, binned(x / area))
+        variables[f"albedo{suffix}"] = (total, np.moveaxis(x[:, :, :, -1], 2, 0))
+    variables["hits"] = (per_bin[:-1], binned(sums["hits"].values))
+    variables["projected_solid_angle"] = (bin_dims, area[:-1, 0].reshape(shape))
     for fate, name in enumerate(FATES):
-        dataset[name] = ((*incidence, "wavelength"), sums["ledger"].values[:, :, fate])
+        variables[name] = ((*incidence, "wavelength"), sums["ledger"].values[:, :, fate])
     for name in ("paths", "realisations", "replicates"):
-        dataset[name] = sums[name]
-    realisations, pilot = sums["realisations"], int(sums.attrs["pilot"])
-    dataset["degrees_of_freedom_mc"] = realisations * (pilot - 1)
-    dataset["degrees_of_freedom"] = xr.where(realisations > 1, realisations - 1, pilot - 1)
-    _describe(dataset, detector)
-    return dataset.assign_attrs(attributes)
+        variables[name] = (incidence, sums[name].values)
+    count, pilot = sums["realisations"].values, int(sums.attrs["pilot"])
+    variables["degrees_of_freedom_mc"] = (incidence, count * (pilot - 1))
+    variables["degrees_of_freedom"] = (incidence, np.where(count > 1, count - 1, pilot - 1))
+    coords = {"order": list(ORDERS), **{d: sums[d].values for d in (*incidence, "wavelength")}}
+    where, bounds = _bins(detector)
+    return _described(xr.Dataset({**variables, **bounds}, {**coords, **where}, attributes))
 
 
 def _estimates(sums: xr.Dataset) -> tuple[Floats, Floats, Floats]:
@@ -348,24 +338,26 @@ _UNITS = {
 }
 
 
-def _describe(dataset: xr.Dataset, detector: Detector) -> None:
-    """Coordinates of the bins, their bounds, units and names."""
-    if isinstance(detector, HemisphereGrid):
-        dataset["theta_o"], dataset["dphi"] = ("theta_o", detector.theta), ("dphi", detector.dphi)
-        edges = {"theta_o": detector.theta_edges, "dphi": detector.dphi_edges}
-        for name, edge in edges.items():
-            dataset[f"{name}_bounds"] = ((name, "bounds"), np.stack([edge[:-1], edge[1:]], axis=1))
-    elif isinstance(detector, Apertures):
+def _bins(detector: Detector) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Coordinates of the bins, and their bounds."""
+    if isinstance(detector, Apertures):
         theta, phi = np.array(detector.directions).T
-        dataset.coords["theta_o"], dataset.coords["phi_o"] = ("detector", theta), ("detector", phi)
+        return {"theta_o": ("detector", theta), "phi_o": ("detector", phi)}, {}
+    edges = {"theta_o": detector.theta_edges, "dphi": detector.dphi_edges}
+    bounds = {f"{d}_bounds": ((d, "bounds"), np.stack([e[:-1], e[1:]], axis=1)) for d, e in edges.items()}
+    return {"theta_o": detector.theta, "dphi": detector.dphi}, bounds
+
+
+def _described(dataset: xr.Dataset) -> xr.Dataset:
+    """`dataset` with units and names, as the CF conventions want them."""
     for name, (unit, long_name) in _UNITS.items():
         if name in dataset.variables:
             dataset[name].attrs.update(units=unit, long_name=long_name)
-    if isinstance(detector, HemisphereGrid):
-        for name in ("theta_o", "dphi"):
+        if f"{name}_bounds" in dataset:
             dataset[name].attrs["bounds"] = f"{name}_bounds"
     dataset["wavelength"].attrs["standard_name"] = "radiation_wavelength"
     dataset["brdf"].attrs["ancillary_variables"] = "standard_error standard_error_mc hits"
+    return dataset
 
 
 def save(measurement: Measurement, path: str | Path) -> Path:

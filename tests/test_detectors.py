@@ -1,0 +1,69 @@
+import math
+
+import numpy as np
+import pytest
+
+from gonio.detectors import Apertures, HemisphereGrid
+from gonio.sphere import angles, direction, rotate_z
+
+GRIDS = [
+    HemisphereGrid(),
+    HemisphereGrid(theta_step=5, phi_step=15),
+    HemisphereGrid(theta_step=5, phi_step=15, spacing="projected_area"),
+    HemisphereGrid(theta_step=90, phi_step=180),
+]
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=repr)
+def test_a_grid_covers_the_hemisphere_once(grid):
+    assert math.isclose(grid.projected_solid_angles().sum(), math.pi, rel_tol=1e-14)
+    assert grid.theta_edges[0] == 0
+    assert math.isclose(grid.theta_edges[-1], 90, rel_tol=1e-15)
+    assert (np.diff(grid.theta_edges) > 0).all()
+    inside = (grid.theta_edges[:-1] <= grid.theta) & (grid.theta <= grid.theta_edges[1:])
+    assert inside.all()
+
+
+def test_equal_projected_areas_are_equal():
+    areas = GRIDS[2].projected_solid_angles()
+    np.testing.assert_allclose(areas, areas[0], rtol=1e-12)
+
+
+def test_no_edge_lies_on_the_plane_of_incidence_or_on_a_whole_step():
+    grid = HemisphereGrid()
+    assert grid.shape == (91, 360)
+    assert not np.isin(grid.dphi_edges % 360, (0, 180)).any()
+    assert not any(grid.edge_at(theta) for theta in range(90))
+    assert grid.edge_at(30.5)
+    np.testing.assert_array_equal(grid.theta[:90], np.arange(90))
+
+
+@pytest.mark.parametrize(
+    "detector", [*GRIDS[1:], Apertures(directions=((0, 0), (40, 130), (80, 300)), half_angle=10)], ids=repr
+)
+def test_quadrature_averages_with_the_cosine(detector):
+    """The mean of 1/cosθ is solid angle over projected solid angle; the mean of a constant is itself."""
+    wi = direction(30, 70)
+    wo, weight = detector.quadrature(wi, nodes=16)
+    np.testing.assert_allclose(weight.sum(axis=1), 1, rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(wo, axis=-1), 1, rtol=1e-12)
+    areas = detector.projected_solid_angles()
+    if isinstance(detector, Apertures):
+        solid = np.full(3, 2 * math.pi * (1 - math.cos(math.radians(10))))
+    else:
+        edges = np.cos(np.radians(detector.theta_edges))
+        solid = np.repeat(-np.diff(edges) * 2 * math.pi / detector.shape[1], detector.shape[1])
+    np.testing.assert_allclose((weight / wo[..., 2]).sum(axis=1), solid / areas, rtol=2e-3)
+    chosen = np.array([2, 1])
+    np.testing.assert_array_equal(detector.quadrature(wi, 4, chosen)[0], detector.quadrature(wi, 4)[0][chosen])
+
+
+def test_a_grid_turns_with_the_lamp_and_apertures_do_not():
+    grid, apertures = GRIDS[1], Apertures(directions=((40, 130),), half_angle=5)
+    turned = rotate_z(grid.quadrature(direction(30, 0))[0], 70)
+    np.testing.assert_allclose(grid.quadrature(direction(30, 70))[0], turned, atol=1e-12)
+    wo, weight = apertures.quadrature(direction(30, 70))
+    centre = (weight[..., None] * wo).sum(axis=1)
+    theta, phi = angles(centre / np.linalg.norm(centre))
+    assert abs(phi[0] - 130) < 1e-9
+    assert 39 < theta[0] < 40  # the cosine pulls the mean towards the normal
