@@ -75,7 +75,7 @@ def _attempt(tokens: Sequence[str] | None) -> int:
     except RunError as error:
         return _complain(1, str(error))
     except KeyboardInterrupt:
-        return _complain(1, "Interrupted before anything was measured: nothing was written.")
+        return _complain(1, "Interrupted.")
     except MemoryError as error:
         return _complain(1, f"Not enough memory: {error or 'make the surface, the detector or the run smaller'}.")
     except BrokenPipeError:
@@ -144,7 +144,10 @@ def run(
     _check_writable(folder)
     started = time.monotonic()
     with _progress(quiet) as meter:
-        measurement = experiment.run(threads=threads, progress=meter)
+        try:
+            measurement = experiment.run(threads=threads, progress=meter)
+        except KeyboardInterrupt:
+            raise RunError("Interrupted before anything was measured: nothing was written.") from None
     seconds = time.monotonic() - started
     models, complaints = _models(measurement, experiment.compare)
     files = _write_results(experiment, measurement, models, folder)
@@ -178,7 +181,7 @@ def _write_results(
     experiment: Experiment, measurement: Measurement, models: Sequence[Model], folder: Path
 ) -> list[str]:
     """Write the numbers, then the pictures; each file appears whole. The names of the files, the numbers' first."""
-    from gonio.formats import replacing
+    from microsurfaces.files import replacing
     from gonio.measurement import save
 
     try:
@@ -211,7 +214,8 @@ def _draw(measurement: Measurement, models: Sequence[Model], folder: Path) -> li
 
 
 def _reason(error: OSError) -> str:
-    return (error.strerror or str(error)).lower()
+    """Why the system refused, in its own few words."""
+    return (os.strerror(error.errno) if error.errno else str(error).split("\n")[0]).lower()
 
 
 class _Meter:

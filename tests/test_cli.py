@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import re
 import subprocess
 import sys
@@ -326,6 +327,27 @@ def test_ctrl_c_before_anything_was_measured_writes_nothing(run: Gonio, monkeypa
 
     monkeypatch.setattr(ms.Gaussian, "build", interrupted)
     assert run("run", "toy.toml") == (1, "", "Interrupted before anything was measured: nothing was written.\n")
+    assert files() == {"toy.toml"}
+
+
+def test_ctrl_c_while_drawing_keeps_the_numbers(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gonio.plots.lobes", interrupted)
+    code, _, err = run("run", "toy.toml")
+    assert (code, err) == (1, "Interrupted.\n")
+    assert files() == {"toy.toml", "out/toy/measurement.nc", "out/toy/experiment.toml"}
+
+
+def test_a_full_disk_is_one_sentence(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "anything")
+
+    monkeypatch.setattr("gonio.measurement.save", full)
+    code, _, err = run("run", "toy.toml")
+    assert code == 1
+    assert err == "out/toy cannot be written (no space left on device): the results are lost.\n"
     assert files() == {"toy.toml"}
 
 
