@@ -181,8 +181,8 @@ def _write_results(
     experiment: Experiment, measurement: Measurement, models: Sequence[Model], folder: Path
 ) -> list[str]:
     """Write the numbers, then the pictures; each file appears whole. The names of the files, the numbers' first."""
-    from microsurfaces.files import replacing
     from gonio.measurement import save
+    from microsurfaces.files import replacing
 
     try:
         folder.mkdir(parents=True, exist_ok=True)

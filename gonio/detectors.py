@@ -64,8 +64,8 @@ class HemisphereGrid:
         edges = self.theta_edges
         if self.spacing == "projected_area":
             sin2 = np.sin(np.radians(edges)) ** 2
-            return np.degrees(np.arcsin(np.sqrt((sin2[1:] + sin2[:-1]) / 2)))
-        centres = (edges[1:] + edges[:-1]) / 2
+            return np.asarray(np.degrees(np.arcsin(np.sqrt((sin2[1:] + sin2[:-1]) / 2))))
+        centres = np.asarray((edges[1:] + edges[:-1]) / 2)
         centres[0] = 0.0
         return centres
 
@@ -73,13 +73,13 @@ class HemisphereGrid:
     def dphi(self) -> Floats:
         """Sector centres in degrees, 0 <= dphi < 360."""
         count = round(360 / self.phi_step)
-        return np.arange(count) * (360 / count)
+        return np.arange(count, dtype=np.float64) * (360 / count)
 
     @property
     def dphi_edges(self) -> Floats:
         """Sector edges in degrees, from minus half a step to 360 minus half a step, shape (sectors + 1,)."""
         count = round(360 / self.phi_step)
-        return (np.arange(count + 1) - 0.5) * (360 / count)
+        return (np.arange(count + 1, dtype=np.float64) - 0.5) * (360 / count)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -94,7 +94,7 @@ class HemisphereGrid:
 
     def projected_solid_angles(self) -> Floats:
         """Exact ∫ cosθ dω of every bin in sr, ring after ring, shape (bins,); they sum to π."""
-        rings, sectors = self.shape
+        sectors = self.shape[1]
         sin2 = np.sin(np.radians(self.theta_edges)) ** 2
         return np.repeat(np.diff(sin2) / 2 * (2 * math.pi / sectors), sectors)
 

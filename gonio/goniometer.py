@@ -65,7 +65,7 @@ class Goniometer:
     def _directions_make_sense(self) -> Goniometer:
         for name in ("theta_i", "phi_i", "wavelengths"):
             values = getattr(self, name)
-            if any(b <= a for a, b in zip(values, values[1:], strict=False)):
+            if any(b <= a for a, b in itertools.pairwise(values)):
                 raise ValueError(f"{name} = {list(values)} must increase from each value to the next")
         for theta in self.theta_i:
             if self.beam_half_angle and theta + self.beam_half_angle > 90:
@@ -131,11 +131,11 @@ class _Tally:
     @classmethod
     def empty(cls, goniometer: Goniometer) -> _Tally:
         shape = (len(ORDERS), goniometer.detector.bins + 1, len(goniometer.wavelengths))
-        zeros = [np.zeros(shape, np.int64) for _ in range(2)]
         return cls(
             goniometer.replicates,
             math.ceil(goniometer.paths / goniometer.replicates),
-            *zeros,
+            np.zeros(shape, np.int64),
+            np.zeros(shape, np.int64),
             Wide.zeros(shape),
             np.zeros(shape[:2], np.int64),
             np.zeros((3, shape[2]), np.int64),

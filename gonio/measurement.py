@@ -6,11 +6,8 @@ former follows from the latter, so measurements of further specimens merge exact
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import json
-import os
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +21,7 @@ from gonio.detectors import Apertures, Detector, HemisphereGrid
 from gonio.optics import Material
 from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z
 from gonio.tally import MAX_PATHS, UNIT, Wide
+from microsurfaces.files import replacing
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -366,7 +364,7 @@ def save(measurement: Measurement, path: str | Path) -> Path:
     The file appears when it is complete, under a temporary name until then.
     """
     path = Path(path)
-    with _temporary(path) as scratch:
+    with replacing(path) as scratch:
         packed = {"zlib": True, "complevel": 1, "shuffle": True}
         for group, dataset, mode in ((None, measurement.dataset, "w"), ("sums", measurement.sums, "a")):
             encoding = {name: packed for name, variable in dataset.data_vars.items() if variable.ndim > 3}
@@ -388,16 +386,3 @@ def load(path: str | Path) -> Measurement:
             return Measurement(sums.load(), attributes)
     except (OSError, KeyError, ValueError) as error:
         raise ValueError(f"{path}: not a measurement that gonio wrote, or it is damaged ({error})") from None
-
-
-@contextlib.contextmanager
-def _temporary(path: Path) -> Iterator[Path]:
-    """A name beside `path` that becomes `path` on success and leaves nothing behind otherwise."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    scratch = Path(name)
-    try:
-        yield scratch
-        scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.formats import replacing
 from gonio.sphere import direction
+from microsurfaces.files import replacing
 
 if TYPE_CHECKING:
     import xarray as xr

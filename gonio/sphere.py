@@ -1,9 +1,9 @@
 """Directions and frames: every angle convention of gonio lives here.
 
 z is up, the macroscopic normal. `wi` points to the light, `wo` to the detector: unit vectors, both AWAY from the
-surface; `wm` is a facet normal and `wh` the half vector. theta is counted from z, phi from +x counter-clockwise, both in
-degrees and only at the edges of the program. Light from `phi_i` has its mirror direction at `phi_i + 180`; the relative
-azimuth `dphi = phi_o - phi_i` is 0 on the lamp's side and 180 on the mirror's.
+surface; `wm` is a facet normal and `wh` the half vector. theta is counted from z, phi from +x counter-clockwise, both
+in degrees and only at the edges of the program. Light from `phi_i` has its mirror direction at `phi_i + 180`; the
+relative azimuth `dphi = phi_o - phi_i` is 0 on the lamp's side and 180 on the mirror's.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def direction(theta: ArrayLike, phi: ArrayLike = 0.0) -> Vectors:
 
 
 def angles(w: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Polar angle in [0, 180] and azimuth in [0, 360), degrees, of unit vectors `w` (..., 3); azimuth 0 at the poles."""
+    """Polar angle in [0, 180] and azimuth in [0, 360), degrees, of unit vectors `w` (..., 3); phi is 0 at a pole."""
     x, y, z = np.moveaxis(np.asarray(w, np.float64), -1, 0)
     theta = np.degrees(np.arctan2(np.hypot(x, y), z))
     phi = np.degrees(np.arctan2(y, x)) % 360.0
@@ -34,13 +34,13 @@ def half_vector(wi: ArrayLike, wo: ArrayLike) -> Vectors:
     """Unit vectors half way between `wi` and `wo` (..., 3); undefined (NaN) for opposite directions."""
     total = np.asarray(wi, np.float64) + np.asarray(wo, np.float64)
     with np.errstate(invalid="ignore"):
-        return total / np.linalg.norm(total, axis=-1, keepdims=True)
+        return np.asarray(total / np.linalg.norm(total, axis=-1, keepdims=True))
 
 
 def reflect(w: ArrayLike, wm: ArrayLike) -> Vectors:
-    """Mirror image of `w` (..., 3) about the normals `wm` (..., 3): both point away from the surface, and so does it."""
+    """Mirror image of `w` (..., 3) about the normals `wm` (..., 3); all point away from the surface."""
     w, wm = np.asarray(w, np.float64), np.asarray(wm, np.float64)
-    return 2.0 * (w * wm).sum(axis=-1, keepdims=True) * wm - w
+    return np.asarray(2.0 * (w * wm).sum(axis=-1, keepdims=True) * wm - w)
 
 
 def rotate_z(w: ArrayLike, degrees: ArrayLike) -> Vectors:

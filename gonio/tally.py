@@ -42,7 +42,7 @@ class Wide(NamedTuple):
         _add_square(self.high.ravel(), self.low.ravel(), np.ascontiguousarray(values).ravel())
 
     def scatter(self, total: NDArray[np.int64], count: int) -> Wide:
-        """count · Σx² − (Σx)², where this is Σx² and `total` is Σx of `count` values: count² times their variance."""
+        """count · Σx² - (Σx)², where this is Σx² and `total` is Σx of `count` values: count² times their variance."""
         result = Wide.zeros(self.high.shape)
         _scatter(
             result.high.ravel(),

@@ -77,7 +77,8 @@ class Matter(NamedTuple):
 class Bins(NamedTuple):
     """The detector as the kernels need it."""
 
-    count: int
+    size: int
+    """How many bins."""
     sin2_edges: NDArray[np.float64]
     """sin² of the ring edges of a grid; empty for apertures."""
     sectors: int
@@ -151,8 +152,8 @@ def trace(
     state = _empty_wave(min(wave, paths), len(substance.eta))
     orders, width = ORDERS, len(substance.eta)
     catch = Catch(
-        np.zeros((orders, bins.count + 1, width), np.int64),
-        np.zeros((orders, bins.count + 1), np.int64),
+        np.zeros((orders, bins.size + 1, width), np.int64),
+        np.zeros((orders, bins.size + 1), np.int64),
         np.zeros((3, width), np.int64),
     )
     turn = _replicate_turn(replicate, lamp.key)
@@ -483,13 +484,13 @@ def _arrive(wave, i, bins, lamp, turn, catch):  # type: ignore[no-untyped-def]
     angle = _surface_angle(wave.paths[i], turn, lamp)
     c, s = math.cos(angle), math.sin(angle)
     x, y = c * x + s * y, c * y - s * x
-    for aperture in range(bins.count):
+    for aperture in range(bins.size):
         axis = bins.axes[aperture]
         if x * axis[0] + y * axis[1] + z * axis[2] >= bins.cos_half_angle:
             _add(wave.weights[i], catch.weight[order, aperture])
             catch.hits[order, aperture] += 1
-    _add(wave.weights[i], catch.weight[order, bins.count])
-    catch.hits[order, bins.count] += 1
+    _add(wave.weights[i], catch.weight[order, bins.size])
+    catch.hits[order, bins.size] += 1
 
 
 @kernel

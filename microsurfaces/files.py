@@ -10,7 +10,8 @@ import json
 import math
 import os
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -142,16 +143,28 @@ def save_surface(relief: HeightField | Mesh, path: str | Path) -> None:
         raise ValueError(f"{path}: a mesh is not a height map: save it as .ply or .stl")
     if not path.parent.is_dir():
         raise ValueError(f"{path} cannot be written: the folder {path.parent} does not exist, create it first")
-    part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
-        save(relief, part)
-        part.replace(path)
+        with replacing(path) as part:
+            save(relief, part)
     except (OSError, RuntimeError) as error:
         raise ValueError(
             f"{path} cannot be written ({error}): choose a place that is writable and has space"
         ) from error
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path`, of the same suffix, that takes its place if the block succeeds.
+
+    Nothing is left behind if it fails. Raises OSError if the folder does not exist or cannot be written.
+    """
+    temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
+    temporary.touch()
+    try:
+        yield temporary
+        temporary.replace(path)
     finally:
-        part.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
 
 
 def _read_map(path: Path, factor: int) -> tuple[NDArray[Any], dict[str, Any]]:

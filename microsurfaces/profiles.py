@@ -125,8 +125,8 @@ class VGrooves:
     """Roughness of Beckmann's distribution of slopes."""
     angle: Annotated[float, Field(gt=0, lt=90)] | None = None
     """One angle for every facet, from the horizontal, degrees: give this or m."""
-    grooves: Annotated[int, Field(ge=1, le=1_000_000)] = 64
-    """Grooves in a tile."""
+    grooves: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    """Grooves in a tile: 64 if not given, or 1 where they are all alike."""
     width: Positive = 2.0
     """Width of a groove, edge to edge, µm."""
 
@@ -142,11 +142,12 @@ class VGrooves:
         if not 0 <= strip < strips:
             raise ValueError(f"strip = {strip}: expected 0 to {strips - 1}, there are {strips} strips")
         slopes = self._slopes(seed, strips)[strip]
-        profile = np.zeros((2 * self.grooves + 1, 2))
-        profile[:, 0] = (np.arange(2 * self.grooves + 1) - self.grooves) / 2
+        count = len(slopes)
+        profile = np.zeros((2 * count + 1, 2))
+        profile[:, 0] = (np.arange(2 * count + 1) - count) / 2
         profile[1::2, 1] = -slopes / 2
-        vertices, _, faces = _extruded([profile], self.width, self.grooves)
-        return Mesh(vertices, faces, (self.grooves * self.width,) * 2)
+        vertices, _, faces = _extruded([profile], self.width, count)
+        return Mesh(vertices, faces, (count * self.width,) * 2)
 
     def _slopes(self, seed: int, strips: int) -> Floats:
         """tan of the facet angle of every groove of every strip, (strips, grooves).
@@ -155,9 +156,10 @@ class VGrooves:
         and the slopes that the strips have of one share are stratified in turn.
         """
         if self.m is None:
-            return np.full((strips, self.grooves), math.tan(math.radians(self.angle or 0.0)))
+            return np.full((strips, self.grooves or 1), math.tan(math.radians(self.angle or 0.0)))
         random = np.random.Generator(np.random.Philox(seed))
-        ranks = random.permuted(np.arange(self.grooves * strips).reshape(self.grooves, strips), axis=1).T
+        count = self.grooves or 64
+        ranks = random.permuted(np.arange(count * strips).reshape(count, strips), axis=1).T
         u = np.minimum((ranks + random.random(ranks.shape)) / ranks.size, 1 - 1e-4)
         return random.permuted(self.m * np.sqrt(-np.log1p(-u)), axis=1)
 

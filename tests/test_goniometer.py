@@ -33,7 +33,7 @@ def v_groove_share(theta_i, angle):
 
 def v_groove():
     goniometer = Goniometer(theta_i=(40,), paths=2048, wavelengths=(550,), detector=GRID)
-    scene = Scene(ms.VGrooves(angle=37, grooves=1).build(0), optics.Mirror())
+    scene = Scene(ms.VGrooves(angle=37).build(0), optics.Mirror())
     return goniometer, scene, ("1", None), v_groove_share(math.radians(40), math.radians(37))
 
 

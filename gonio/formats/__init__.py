@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,18 +41,3 @@ def export(measurement: Measurement, path: str | os.PathLike[str], format: str |
 
 def _choices() -> str:
     return f"the formats are {', '.join(sorted(WRITERS))}; choose one by the suffix of the path or by format="
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path`, of the same suffix, that takes its place if the block succeeds.
-
-    Raises OSError if the folder does not exist or cannot be written.
-    """
-    temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
-    temporary.touch()
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
