@@ -312,15 +312,17 @@ def _to_edge(origin, direction, half_x, half_y):  # type: ignore[no-untyped-def]
 
 @kernel
 def fresnel(cosine, eta, k):  # type: ignore[no-untyped-def]
-    """Unpolarised reflectance of an interface of index eta + ik; total reflection included (see `optics`)."""
-    sin2 = 1.0 - cosine * cosine
+    """Unpolarised reflectance of an interface of index eta + ik, total reflection included.
+
+    `optics.fresnel_conductor` with R_s (1 + R_p / R_s) / 2 drawn together, so that one division is left.
+    """
+    cos2 = cosine * cosine
+    sin2 = 1.0 - cos2
     t0 = eta * eta - k * k - sin2
     modulus = math.sqrt(t0 * t0 + 4.0 * eta * eta * k * k)
     twice = 2.0 * math.sqrt(max(0.0, 0.5 * (modulus + t0))) * cosine
-    cos2 = cosine * cosine
-    rs = (modulus + cos2 - twice) / (modulus + cos2 + twice)
     p = cos2 * modulus + sin2 * sin2
-    return 0.5 * rs * (1.0 + (p - twice * sin2) / (p + twice * sin2))
+    return (modulus + cos2 - twice) * p / ((modulus + cos2 + twice) * (p + twice * sin2))
 
 
 @kernel
@@ -407,8 +409,9 @@ def _reflect(wave, i, hit, facets, tile, substance, lamp, replicate):  # type: i
         dx, dy, dz = _cosine_direction(r0, r1, nx, ny, nz)
     else:
         dx, dy, dz = _mirrored(dx, dy, dz, nx, ny, nz)
-    # Without this the length would drift over thousands of hits.
-    wave.directions[i, 0], wave.directions[i, 1], wave.directions[i, 2] = _unit(dx, dy, dz)
+    # One Newton step: without it the length would drift over thousands of hits.
+    scale = 1.5 - 0.5 * (dx * dx + dy * dy + dz * dz)
+    wave.directions[i, 0], wave.directions[i, 1], wave.directions[i, 2] = dx * scale, dy * scale, dz * scale
     largest = 1.0
     if substance.kind != _MIRROR:
         largest = 0.0
