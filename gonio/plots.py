@@ -787,7 +787,7 @@ def show(mesh: Mesh) -> None:
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise RuntimeError("there is no screen to open a window on (DISPLAY is not set): save the surface to a file")
     if not _can_render():
-        raise RuntimeError("there is no GL library to draw with: install one (Debian: libegl1), or save the surface")
+        raise RuntimeError("there is no GL library to draw with: install libegl1 and libgl1-mesa-dri (names in Debian)")
     import pyvista
 
     faces: Any = mesh.faces.astype(np.int64)
