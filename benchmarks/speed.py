@@ -26,6 +26,7 @@ REPETITIONS = 7
 
 
 def main() -> None:
+    """Time both and print a table."""
     threads = os.cpu_count() or 1
     started = time.perf_counter()
     scene = gonio.Scene(ms.Gaussian(alpha=0.3, samples=1024).build(1), gonio.Conductor("Au"))
@@ -76,6 +77,7 @@ def recorded(scene: gonio.Scene, job: Callable[[], object]) -> list[tuple[np.nda
 
 
 def timed(job: Callable[[], object]) -> float:
+    """Seconds that `job` takes."""
     started = time.perf_counter()
     job()
     return time.perf_counter() - started

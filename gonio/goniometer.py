@@ -23,14 +23,17 @@ from pydantic import Field, TypeAdapter, model_validator
 from gonio.detectors import Detector, HemisphereGrid
 from gonio.measurement import FATES, ORDERS, Measurement
 from gonio.scene import Scene
-from gonio.tally import MAX_PATHS, UNIT, Wide
-from gonio.transport import ABSORBED, LOST, TRUNCATED, Bins, Catch, Lamp, Matter, bins_of, matter, trace
+from gonio.tally import MAX_PATHS, UNIT, Tally, Wide
+from gonio.transport import ABSORBED, LOST, TRUNCATED, Catch, Lamp, Matter, matter, trace
 from microsurfaces.recipe import NonNegative, Positive, recipe
 
 Progress = Callable[[int, int, int], None]
 """Called a few times a second with (paths done, paths in all, rays traced)."""
 
 _TICK = 0.1
+
+GROUP_BYTES = 64 << 20
+"""What the bins of the replicates that one thread traces side by side may take; one replicate always may."""
 
 
 @recipe
@@ -107,88 +110,16 @@ class Goniometer:
             except KeyboardInterrupt:
                 interrupted = True
                 break
-            tally.write(sums, *divmod(index, len(self.phi_i)))
+            _enter(tally, sums, divmod(index, len(self.phi_i)))
         return Measurement(sums, _attributes(self, scene, seed, interrupted))
 
 
-@dataclass
-class _Tally:
-    """Exact sums over the replicates of one incidence: (orders, bins + 1, wavelengths)."""
-
-    pilot: int
-    """The first so many replicates give the error bars; any more only make the mean better. Their number may follow
-    from the pilot's scatter, and intervals still cover (Stein 1945, doi:10.1214/aoms/1177731088)."""
-    paths: int
-    """Paths per replicate."""
-    total: NDArray[np.int64]
-    piloted: NDArray[np.int64]
-    squares: Wide
-    hits: NDArray[np.int64]
-    ledger: NDArray[np.int64]
-    replicates: int = 0
-    lock: threading.Lock = field(default_factory=threading.Lock)
-
-    @classmethod
-    def empty(cls, goniometer: Goniometer) -> _Tally:
-        shape = (len(ORDERS), goniometer.detector.bins + 1, len(goniometer.wavelengths))
-        return cls(
-            goniometer.replicates,
-            math.ceil(goniometer.paths / goniometer.replicates),
-            np.zeros(shape, np.int64),
-            np.zeros(shape, np.int64),
-            Wide.zeros(shape),
-            np.zeros(shape[:2], np.int64),
-            np.zeros((3, shape[2]), np.int64),
-        )
-
-    def add(self, replicate: int, catch: Catch) -> None:
-        """Add one replicate."""
-        weight = np.concatenate([catch.weight.sum(axis=0, keepdims=True), catch.weight])
-        with self.lock:
-            self.total += weight
-            self.hits[0] += catch.hits.sum(axis=0)
-            self.hits[1:] += catch.hits
-            self.ledger += catch.ledger
-            self.replicates += 1
-            if replicate < self.pilot:
-                self.piloted += weight
-                self.squares.add_square(weight)
-
-    def wanted(self, target: float) -> int:
-        """How many replicates bring the median relative error of the reflected light down to `target`."""
-        light = self.piloted[0, :-1].astype(np.float64)
-        scatter = self.squares.scatter(self.piloted, self.pilot).floats()[0, :-1]
-        error = np.sqrt(scatter / (self.pilot - 1)) / np.maximum(light, 1.0)
-        median = max(_weighted_median(error[:, w], light[:, w]) for w in range(light.shape[1]))
-        return max(self.pilot, math.ceil(self.pilot * (median / target) ** 2))
-
-    def write(self, sums: Any, row: int, column: int) -> None:
-        """Enter the sums of this incidence."""
-        at = (row, column)
-        scatter = self.squares.scatter(self.piloted, self.pilot)
-        squares = Wide.zeros(self.total.shape)
-        squares.add_square(self.total)
-        for name, value in (
-            ("weight", self.total),
-            ("hits", self.hits),
-            ("mc_scatter_high", scatter.high),
-            ("mc_scatter_low", scatter.low),
-            ("realisation_squares_high", squares.high),
-            ("realisation_squares_low", squares.low),
-            ("paths", self.paths * self.replicates),
-            ("replicates", self.replicates),
-            ("realisations", 1),
-        ):
-            sums[name].values[at] = value
-        fates = {
-            "launched": self.paths * self.replicates * UNIT,
-            "escaped": self.total[0, -1],
-            "absorbed": self.ledger[ABSORBED],
-            "truncated": self.ledger[TRUNCATED],
-            "lost": self.ledger[LOST],
-        }
-        for index, fate in enumerate(FATES):
-            sums["ledger"].values[(*at, index)] = fates[fate]
+def _wanted(tally: Tally, target: float) -> int:
+    """How many replicates bring the median relative error of the reflected light down to `target`."""
+    light = tally.piloted[0, :-1].astype(np.float64)
+    error = np.sqrt(tally.scatter().floats()[0, :-1] / (tally.pilot - 1)) / np.maximum(light, 1.0)
+    median = max(_weighted_median(error[:, w], light[:, w]) for w in range(light.shape[1]))
+    return max(tally.pilot, math.ceil(tally.pilot * (median / target) ** 2))
 
 
 def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
@@ -197,6 +128,27 @@ def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) 
     if cumulative[-1] == 0:
         return 0.0
     return float(values[order][np.searchsorted(cumulative, cumulative[-1] / 2)])
+
+
+def _enter(tally: Tally, sums: Any, at: tuple[int, int]) -> None:
+    """Write the sums of one incidence in their place."""
+    scatter, squares = tally.scatter(), Wide.zeros(tally.total.shape)
+    squares.add_square(tally.total)
+    for name, value in (
+        ("weight", tally.total),
+        ("hits", tally.hits),
+        ("mc_scatter_high", scatter.high),
+        ("mc_scatter_low", scatter.low),
+        ("realisation_squares_high", squares.high),
+        ("realisation_squares_low", squares.low),
+        ("paths", tally.paths * tally.replicates),
+        ("replicates", tally.replicates),
+        ("realisations", 1),
+    ):
+        sums[name].values[at] = value
+    launched = np.full(tally.total.shape[2], tally.paths * tally.replicates * UNIT)
+    spent = tally.ledger[[ABSORBED, TRUNCATED, LOST]]
+    sums["ledger"].values[at] = [launched, tally.total[0, -1], *spent]
 
 
 @dataclass
@@ -211,22 +163,25 @@ class _Job:
     incidences: int
     stop: threading.Event = field(default_factory=threading.Event)
     lock: threading.Lock = field(default_factory=threading.Lock)
+    spare: list[Catch] = field(default_factory=list)
+    """Histograms to be used again: fresh memory costs more than the zeros in it."""
     paths: int = 0
     rays: int = 0
     finished: int = 0
     """Paths of the incidences that are complete."""
 
-    def incidence(self, theta: float, phi: float, replicates: int | None) -> _Tally:
+    def incidence(self, theta: float, phi: float, replicates: int | None) -> Tally:
         """Measure one incidence: a pilot of replicates, and as many more as the target needs."""
         g = self.goniometer
         wavelengths = np.array(g.wavelengths)
         beam = math.sin(math.radians(g.beam_half_angle)) ** 2
         lamp = Lamp(math.radians(theta), math.radians(phi), beam, g.azimuth == "average", _key(self.seed, theta, phi))
-        setting = (lamp, matter(self.scene.material, wavelengths), bins_of(g.detector, phi))
-        tally = _Tally.empty(g)
+        setting = (lamp, matter(self.scene.material, wavelengths), g.detector, phi)
+        shape = (len(ORDERS), g.detector.bins + 1, len(wavelengths))
+        tally = Tally.empty(g.replicates, math.ceil(g.paths / g.replicates), shape)
         self._run(tally, setting, range(replicates or g.replicates))
         if replicates is None and g.target_error is not None:
-            wanted = tally.wanted(g.target_error)
+            wanted = _wanted(tally, g.target_error)
             if wanted * tally.paths > MAX_PATHS:
                 raise ValueError(
                     f"target_error = {g.target_error:g} needs {wanted * tally.paths:.2g} paths at theta_i = {theta:g}, "
@@ -237,16 +192,18 @@ class _Job:
         self.incidences -= 1
         return tally
 
-    def _run(self, tally: _Tally, setting: tuple[Lamp, Matter, Bins], replicates: range) -> None:
-        """Trace replicates on all threads; every thread takes the next one when it has finished one."""
+    def _run(self, tally: Tally, setting: tuple[Lamp, Matter, Detector, float], replicates: range) -> None:
+        """Trace replicates on all threads; every thread takes the next group when it has finished one."""
         expected = self.finished + tally.paths * replicates.stop + (self.incidences - 1) * self.goniometer.paths
-        queue = iter(replicates)
+        share = math.ceil(len(replicates) / self.threads)
+        group = max(1, min(share, GROUP_BYTES // tally.total.nbytes))
+        queue = (replicates[first : first + group] for first in range(0, len(replicates), group))
         with ThreadPoolExecutor(self.threads) as pool:
             pending: set[Future[None]] = set()
             try:
                 while True:
-                    for replicate in itertools.islice(queue, self.threads - len(pending)):
-                        pending.add(pool.submit(self._replicate, tally, setting, replicate))
+                    for some in itertools.islice(queue, self.threads - len(pending)):
+                        pending.add(pool.submit(self._group, tally, setting, some))
                     if not pending:
                         break
                     done, pending = wait(pending, timeout=_TICK, return_when=FIRST_COMPLETED)
@@ -258,10 +215,16 @@ class _Job:
                 self.stop.set()
                 raise
 
-    def _replicate(self, tally: _Tally, setting: tuple[Lamp, Matter, Bins], replicate: int) -> None:
-        catch = trace(self.scene, *setting, replicate, tally.paths, self._advanced)
-        if catch is not None:
-            tally.add(replicate, catch)
+    def _group(self, tally: Tally, setting: tuple[Lamp, Matter, Detector, float], replicates: range) -> None:
+        _, bins, width = tally.total.shape
+        with self.lock:
+            catch = self.spare.pop() if self.spare else Catch.empty(len(replicates), bins, width)
+        if len(replicates) != len(catch.ledger):
+            catch = Catch.empty(len(replicates), bins, width)
+        if trace(self.scene, *setting, replicates, tally.paths, catch, self._advanced):
+            tally.add(replicates, catch.bins, catch.ledger)
+        with self.lock:
+            self.spare.append(catch)
 
     def _advanced(self, paths: int, rays: int) -> bool:
         with self.lock:
@@ -318,7 +281,7 @@ def _attributes(goniometer: Goniometer, scene: Scene, seed: int, interrupted: bo
         "goniometer": TypeAdapter(Goniometer).dump_json(goniometer).decode(),
         "detector": TypeAdapter(Detector).dump_json(goniometer.detector).decode(),
         "material": TypeAdapter(type(scene.material)).dump_json(scene.material).decode(),
-        "surface_statistics": json.dumps(scene.relief.statistics().as_dict()),
+        "surface_statistics": json.dumps(scene.statistics.as_dict()),
         "isotropic": int(goniometer.azimuth == "average"),
         "interrupted": int(interrupted),
         "seed": str(seed),
@@ -338,7 +301,7 @@ def _refuse_what_cannot_fit(goniometer: Goniometer, threads: int) -> None:
     """Raise MemoryError if the sums and the labelled result need more than the machine has."""
     entries = len(ORDERS) * (goniometer.detector.bins + 1) * len(goniometer.wavelengths)
     incidences = len(goniometer.theta_i) * len(goniometer.phi_i)
-    need = 8 * entries * (incidences * 12 + 6 + 2 * threads)
+    need = 8 * entries * (incidences * 12 + 6 + 2 * threads) + threads * GROUP_BYTES
     have = _memory()
     if have is not None and need > have:
         raise MemoryError(

@@ -7,6 +7,7 @@ be free before it re-enters opposite, and no ray can slip through where the peri
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from gonio.optics import Material
-from microsurfaces import HeightField, Mesh
+from microsurfaces import HeightField, Mesh, Statistics
 
 Float32s = NDArray[np.float32]
 
@@ -76,6 +77,11 @@ class Scene:
         self._embree = EmbreeScene(EmbreeDevice(), robust=True)
         self._geometry = TriangleMesh(self._embree, vertices, faces)
         self.intersect(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), np.ones(1, np.float32))
+
+    @functools.cached_property
+    def statistics(self) -> Statistics:
+        """Statistics of the relief."""
+        return self.relief.statistics()
 
     def intersect(self, origins: Float32s, directions: Float32s, reach: Float32s) -> dict[str, NDArray]:  # type: ignore[type-arg]
         """Closest hits of rays (n, 3), (n, 3) within the distances `reach` (n,).

@@ -6,7 +6,9 @@ always and a variance that is zero is exactly zero.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import threading
+from dataclasses import dataclass, field
+from typing import NamedTuple, Self
 
 import numpy as np
 from numba import njit, uint64
@@ -57,6 +59,78 @@ class Wide(NamedTuple):
     def floats(self) -> NDArray[np.float64]:
         """The nearest float64 values."""
         return self.high.astype(np.float64) * 2.0**64 + self.low.astype(np.float64)
+
+
+@dataclass
+class Tally:
+    """Exact sums over the replicates of one incidence: orders (their total first) x bins (the hemisphere last) x W."""
+
+    pilot: int
+    """The first so many replicates give the error bars; any more only make the mean better. Their number may follow
+    from the pilot's scatter, and intervals still cover (Stein 1945, doi:10.1214/aoms/1177731088)."""
+    paths: int
+    """Paths per replicate."""
+    total: NDArray[np.int64]
+    """Weights of all replicates."""
+    piloted: NDArray[np.int64]
+    """Weights of the pilot's."""
+    squares: Wide
+    """Squares of the pilot's weights, summed."""
+    hits: NDArray[np.int64]
+    """Paths that arrived, (orders, bins)."""
+    ledger: NDArray[np.int64]
+    """Absorbed, truncated, lost: (3, W)."""
+    replicates: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @classmethod
+    def empty(cls, pilot: int, paths: int, shape: tuple[int, int, int]) -> Self:
+        """No replicates yet, of `paths` each, for sums of `shape`."""
+        zeros = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+        return cls(
+            pilot, paths, *zeros, Wide.zeros(shape), np.zeros(shape[:2], np.int64), np.zeros((3, shape[2]), np.int64)
+        )
+
+    def add(self, replicates: range, caught: NDArray[np.int64], ledger: NDArray[np.int64]) -> None:
+        """Add what a group of replicates caught, (orders, bins, replicates, W and the number of paths), and lost."""
+        pilots = np.array(replicates) < self.pilot
+        with self._lock:
+            _absorb(caught, pilots, self.total, self.piloted, self.squares.high, self.squares.low, self.hits)
+            self.ledger += ledger.sum(axis=0)
+            self.replicates += len(replicates)
+
+    def scatter(self) -> Wide:
+        """pilot · Σx² - (Σx)² over the pilot's replicates, of the shape of `total`."""
+        return self.squares.scatter(self.piloted, self.pilot)
+
+
+@njit(cache=True, nogil=True)
+def _absorb(caught, pilots, total, piloted, high, low, hits):  # type: ignore[no-untyped-def]
+    orders, bins, members, width = caught.shape
+    width -= 1
+    for place in range(bins):
+        for member in range(members):
+            count = 0
+            for order in range(orders):
+                count += caught[order, place, member, width]
+                hits[order + 1, place] += caught[order, place, member, width]
+            hits[0, place] += count
+            if count == 0:
+                continue
+            for w in range(width):
+                whole = 0
+                for order in range(orders - 1, -2, -1):
+                    value = caught[order, place, member, w] if order >= 0 else whole
+                    whole += value
+                    if value == 0:
+                        continue
+                    total[order + 1, place, w] += value
+                    if pilots[member]:
+                        piloted[order + 1, place, w] += value
+                        square_high, square_low = _square(value)
+                        before = low[order + 1, place, w]
+                        low[order + 1, place, w] = before + square_low
+                        high[order + 1, place, w] += square_high + uint64(low[order + 1, place, w] < before)
 
 
 @njit(cache=True, nogil=True)

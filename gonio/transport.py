@@ -48,7 +48,8 @@ _IN_FLIGHT, _ESCAPED = -2, -1
 _GOLDEN = (math.sqrt(5) - 1) / 2
 _WORD = uint64(0xFFFFFFFF)
 
-kernel = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+# Helpers take and return plain numbers: handing arrays or tuples of them on would count references at every call.
+kernel = njit(cache=True, nogil=True, error_model="numpy")
 
 
 class Lamp(NamedTuple):
@@ -80,12 +81,13 @@ class Bins(NamedTuple):
     size: int
     """How many bins."""
     sin2_edges: NDArray[np.float64]
-    """sin² of the ring edges of a grid; empty for apertures."""
+    """sin² of the lower ring edges of a grid, filled up with inf to a power of two; empty for apertures."""
     sectors: int
     turn: float
-    """Azimuth of the traced frame that the bins count from, radians: the lamp's for a grid, 0 for apertures."""
+    """Azimuth of the traced frame that the bins count from, in turns: the lamp's for a grid, 0 for apertures."""
     axes: NDArray[np.float64]
-    cos_half_angle: float
+    cosine: float
+    """Of the apertures' half angle."""
 
 
 class Wave(NamedTuple):
@@ -97,19 +99,33 @@ class Wave(NamedTuple):
     """How far the next hit may be: to the far side of the seam, or to the top."""
     weights: NDArray[np.float64]
     paths: NDArray[np.int64]
+    members: NDArray[np.int32]
+    """Which replicate of the group a path belongs to."""
     hits: NDArray[np.int32]
     crossings: NDArray[np.int32]
+    fates: NDArray[np.int8]
+    """What the last event did to a path: still in flight, escaped, truncated or lost."""
+    arrivals: NDArray[np.int32]
+    """Scratch: the row and the bin of every path that has just escaped."""
 
 
 class Catch(NamedTuple):
-    """What one replicate collected, in integers (`tally.UNIT` to a path)."""
+    """What every replicate of a group collected, in integers (`tally.UNIT` to a path)."""
 
-    weight: NDArray[np.int64]
-    """(orders, bins + 1, wavelengths); the last bin is the whole hemisphere."""
-    hits: NDArray[np.int64]
-    """Paths that arrived, (orders, bins + 1)."""
+    bins: NDArray[np.int64]
+    """(orders, bins, replicates, wavelengths + 1): weights, and in the last column how many paths arrived; the last
+    bin is the whole hemisphere. What is added together lies together, and so do the replicates, because what they send
+    off from one place arrives in one bin."""
     ledger: NDArray[np.int64]
-    """Absorbed, truncated, lost, (3, wavelengths)."""
+    """Absorbed, truncated, lost, (replicates, 3, wavelengths)."""
+
+    @classmethod
+    def empty(cls, replicates: int, bins: int, wavelengths: int) -> Catch:
+        """Nothing yet."""
+        return cls(
+            np.zeros((ORDERS, bins, replicates, wavelengths + 1), np.int64),
+            np.zeros((replicates, 3, wavelengths), np.int64),
+        )
 
 
 def matter(material: Material, wavelengths: NDArray[np.float64]) -> Matter:
@@ -127,8 +143,10 @@ def bins_of(detector: Detector, phi_i: float) -> Bins:
     """`detector` for the kernels, for light from azimuth `phi_i` in degrees."""
     match detector:
         case HemisphereGrid():
-            sin2 = np.sin(np.radians(detector.theta_edges)) ** 2
-            return Bins(detector.bins, sin2, detector.shape[1], math.radians(phi_i), np.zeros((0, 3)), 1.0)
+            lower = np.sin(np.radians(detector.theta_edges[:-1])) ** 2
+            sin2 = np.full(1 << (len(lower) - 1).bit_length(), np.inf)
+            sin2[: len(lower)] = lower
+            return Bins(detector.bins, sin2, detector.shape[1], phi_i / 360, np.zeros((0, 3)), 1.0)
         case Apertures():
             cosine = math.cos(math.radians(detector.half_angle))
             return Bins(detector.bins, np.zeros(0), 1, 0.0, np.ascontiguousarray(detector.axes), cosine)
@@ -138,54 +156,46 @@ def trace(
     scene: Scene,
     lamp: Lamp,
     substance: Matter,
-    bins: Bins,
-    replicate: int,
+    detector: Detector,
+    phi_i: float,
+    replicates: range,
     paths: int,
+    catch: Catch,
     advanced: Callable[[int, int], bool],
     wave: int = WAVE,
-) -> Catch | None:
-    """Trace all `paths` of one replicate.
+) -> bool:
+    """Trace all `paths` of each of a group of replicates into `catch`, which is cleared first.
 
-    `advanced(paths, rays)` is told after every wave what was newly done; when it returns False the replicate is given
-    up and the result is None.
+    The replicates advance over the sample side by side: as many times more rays share what the caches hold of it.
+    `advanced(paths, rays)` is told after every wave what was newly done; when it returns False the group is given up,
+    and so is the answer.
     """
-    state = _empty_wave(min(wave, paths), len(substance.eta))
-    orders, width = ORDERS, len(substance.eta)
-    catch = Catch(
-        np.zeros((orders, bins.size + 1, width), np.int64),
-        np.zeros((orders, bins.size + 1), np.int64),
-        np.zeros((3, width), np.int64),
-    )
-    turn = _replicate_turn(replicate, lamp.key)
+    total = len(replicates) * paths
+    bins = bins_of(detector, phi_i)
+    collect = _collect if isinstance(detector, HemisphereGrid) else _sight
+    state = _empty_wave(min(wave, total), len(substance.eta))
+    catch.bins.fill(0)
+    catch.ledger.fill(0)
+    turns = np.array([_replicate_turn(replicate, lamp.key) for replicate in replicates])
     active = launched = 0
-    while active or launched < paths:
-        room = min(len(state.paths) - active, paths - launched)
+    while active or launched < total:
+        room = min(len(state.paths) - active, total - launched)
         if room and active <= len(state.paths) // 2:
-            _launch(state, active, launched, room, paths, replicate, turn, lamp, scene.tile)
+            _launch(state, active, launched, room, paths, replicates.start, turns, lamp, scene.tile)
             active, launched = active + room, launched + room
         found = scene.intersect(state.origins[:active], state.directions[:active], state.reach[:active])
-        left = _advance(
-            state,
-            active,
-            (found["primID"], found["tfar"], found["u"], found["v"]),
-            (scene.normals, scene.corner_normals),
-            scene.tile,
-            substance,
-            bins,
-            lamp,
-            turn,
-            replicate,
-            catch,
-        )
+        hits = (found["primID"], found["tfar"], found["u"], found["v"])
+        _move(state, active, hits, (scene.normals, scene.corner_normals), scene.tile, substance, lamp, replicates.start)
+        collect(state, active, bins, lamp, turns, catch.bins)
+        left = _settle(state, active, scene.tile, catch.ledger)
         if not advanced(active - left, active):
-            return None
+            return False
         active = left
-    if bins.sin2_edges.size:
+    if isinstance(detector, HemisphereGrid):
         # Escaped is the sum of the bins themselves, not a second counter.
-        catch.weight[:, -1] = catch.weight[:, :-1].sum(axis=1)
-        catch.hits[:, -1] = catch.hits[:, :-1].sum(axis=1)
+        catch.bins[:, -1] = catch.bins[:, :-1].sum(axis=1)
     _balance(catch, paths)
-    return catch
+    return True
 
 
 def _empty_wave(size: int, wavelengths: int) -> Wave:
@@ -197,12 +207,15 @@ def _empty_wave(size: int, wavelengths: int) -> Wave:
         np.zeros(size, np.int64),
         np.zeros(size, np.int32),
         np.zeros(size, np.int32),
+        np.zeros(size, np.int32),
+        np.zeros(size, np.int8),
+        np.zeros((size, 2), np.int32),
     )
 
 
 def _balance(catch: Catch, paths: int) -> None:
     """launched = escaped + absorbed + truncated + lost, exactly, or the instrument is broken."""
-    spent = catch.weight[:, -1].sum(axis=0) + catch.ledger.sum(axis=0)
+    spent = catch.bins[:, -1, :, :-1].sum(axis=0) + catch.ledger.sum(axis=1)
     if (spent != paths * UNIT).any():
         raise ArithmeticError(f"the energy ledger does not close: {spent / UNIT} of {paths} paths accounted for")
 
@@ -241,72 +254,80 @@ def _every_second_bit(x):  # type: ignore[no-untyped-def]
     return (x | (x >> uint64(16))) & _WORD
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _replicate_turn(replicate, key):  # type: ignore[no-untyped-def]
     """Where a replicate's sequence of surface angles starts, in turns."""
     return _uniform(philox(0, 0, replicate, 0xFFFFFFFF, key[0], key[1])[0])
 
 
 @kernel
-def _surface_angle(path, turn, lamp):  # type: ignore[no-untyped-def]
-    """How far the lamp is turned about the sample for this path, radians: 0, or a stratified uniform angle."""
-    if not lamp.average:
-        return 0.0
+def _surface_turn(path, turn, average):  # type: ignore[no-untyped-def]
+    """How far the lamp is turned about the sample for this path, in turns: 0, or stratified and uniform."""
     fraction = path * _GOLDEN + turn
-    return 2 * math.pi * (fraction - math.floor(fraction))
+    return average * (fraction - math.floor(fraction))
 
 
 @kernel
-def _incident(path, replicate, lamp):  # type: ignore[no-untyped-def]
-    """Polar angle's sine and cosine and the azimuth of the direction to the lamp; cos-weighted over the source cone."""
-    if lamp.beam == 0.0:
-        return math.sin(lamp.theta), math.cos(lamp.theta), lamp.phi
-    r0, r1, r2, _ = philox(path, path >> 32, replicate, 0xFFFFFFFE, lamp.key[0], lamp.key[1])
-    sin_delta = math.sqrt(lamp.beam * _uniform(r0))
-    cos_delta = math.sqrt(1 - sin_delta * sin_delta)
-    sin_t, cos_t = math.sin(lamp.theta), math.cos(lamp.theta)
-    # Around the cone the density is 1 + a cosψ: a uniform ψ is turned over with the right probability.
-    psi = 2 * math.pi * _uniform(r1)
-    a = -sin_delta / cos_delta * sin_t / cos_t
-    if 2 * _uniform(r2) > 1 + a * math.cos(psi):
-        psi += math.pi
-    down = sin_delta * math.cos(psi)
-    x = cos_delta * sin_t + down * cos_t
-    y = sin_delta * math.sin(psi)
-    return math.hypot(x, y), cos_delta * cos_t - down * sin_t, lamp.phi + math.atan2(y, x)
+def _incident(path, replicate, turn, lamp):  # type: ignore[no-untyped-def]
+    """The direction in which a path's light travels: cos-weighted over the source cone, and turned about the sample."""
+    sine, cosine, phi = math.sin(lamp.theta), math.cos(lamp.theta), lamp.phi
+    if lamp.beam > 0:
+        r0, r1, r2, _ = philox(path, path >> 32, replicate, 0xFFFFFFFE, lamp.key[0], lamp.key[1])
+        sin_delta = math.sqrt(lamp.beam * _uniform(r0))
+        cos_delta = math.sqrt(1 - sin_delta * sin_delta)
+        # Around the cone the density is 1 + a cosψ: a uniform ψ is turned over with the right probability.
+        psi = 2 * math.pi * _uniform(r1)
+        a = -sin_delta / cos_delta * sine / cosine
+        if 2 * _uniform(r2) > 1 + a * math.cos(psi):
+            psi += math.pi
+        down, across = sin_delta * math.cos(psi), sin_delta * math.sin(psi)
+        x = cos_delta * sine + down * cosine
+        cosine = cos_delta * cosine - down * sine
+        sine, phi = math.hypot(x, across), phi + math.atan2(across, x)
+    phi += 2 * math.pi * _surface_turn(path, turn, lamp.average)
+    return -sine * math.cos(phi), -sine * math.sin(phi), -cosine
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _launch(wave, active, first, count, paths, replicate, turn, lamp, tile):  # type: ignore[no-untyped-def]
-    """Start `count` paths on the plane above the tile: one in each of `paths` equal cells along a Morton curve."""
-    for j in range(count):
-        i, path = active + j, first + j
+@kernel
+def _launch(wave, active, first, count, paths, first_replicate, turns, lamp, tile):  # type: ignore[no-untyped-def]
+    """Start `count` paths on the plane above the tile.
+
+    A replicate starts one in each of `paths` equal cells along a Morton curve; all replicates of the group start in a
+    cell before the first goes on to the next.
+    """
+    origins, directions = wave.origins, wave.directions
+    path, member = divmod(first, turns.size)
+    steady = lamp.beam == 0 and not lamp.average
+    dx, dy, dz = _incident(path, 0, 0.0, lamp)
+    for i in range(active, active + count):
+        replicate = first_replicate + member
         r0, _, _, _ = philox(path, path >> 32, replicate, 0, lamp.key[0], lamp.key[1])
         place = uint64((path + _uniform(r0)) / paths * 2.0**52)
-        wave.origins[i, 0] = ((_every_second_bit(place) + 0.5) * 2.0**-25 - 1) * tile.half_x
-        wave.origins[i, 1] = ((_every_second_bit(place >> uint64(1)) + 0.5) * 2.0**-25 - 1) * tile.half_y
-        wave.origins[i, 2] = tile.top
-        sine, cosine, phi = _incident(path, replicate, lamp)
-        phi += _surface_angle(path, turn, lamp)
-        wave.directions[i, 0] = -sine * math.cos(phi)
-        wave.directions[i, 1] = -sine * math.sin(phi)
-        wave.directions[i, 2] = -cosine
+        x = ((_every_second_bit(place) + 0.5) * 2.0**-25 - 1) * tile.half_x
+        y = ((_every_second_bit(place >> uint64(1)) + 0.5) * 2.0**-25 - 1) * tile.half_y
+        if not steady:
+            dx, dy, dz = _incident(path, replicate, turns[member], lamp)
+        origins[i, 0], origins[i, 1], origins[i, 2] = x, y, tile.top
+        directions[i, 0], directions[i, 1], directions[i, 2] = dx, dy, dz
+        wave.reach[i] = _to_edge(x, y, dx, dy, tile.outer_x, tile.outer_y)
         wave.weights[i, :] = 1.0
         wave.paths[i] = path
+        wave.members[i] = member
         wave.hits[i] = 0
         wave.crossings[i] = 0
-        wave.reach[i] = _to_edge(wave.origins[i], wave.directions[i], tile.outer_x, tile.outer_y)
+        member += 1
+        if member == turns.size:
+            path, member = path + 1, 0
 
 
 @kernel
-def _to_edge(origin, direction, half_x, half_y):  # type: ignore[no-untyped-def]
+def _to_edge(x, y, dx, dy, half_x, half_y):  # type: ignore[no-untyped-def]
     """Distance along a ray to the side at ±half_x or ±half_y that it meets first; inf if it is vertical."""
     distance = np.inf
-    dx, dy = np.float64(direction[0]), np.float64(direction[1])
     if dx != 0:
-        distance = (math.copysign(half_x, dx) - origin[0]) / dx
+        distance = (math.copysign(half_x, dx) - x) / dx
     if dy != 0:
-        distance = min(distance, (math.copysign(half_y, dy) - origin[1]) / dy)
+        distance = min(distance, (math.copysign(half_y, dy) - y) / dy)
     return distance
 
 
@@ -339,22 +360,13 @@ def _mirrored(dx, dy, dz, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _exact_normal(corners, u, v, dx, dy, dz, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """The interpolated exact normal, where geometry is smooth by definition.
+def _serves(sx, sy, sz, dx, dy, dz, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """Whether light can be reflected about the exact normal (sx, sy, sz) of a chord with the normal (nx, ny, nz).
 
-    Close to a silhouette the exact normal of a chord may face away from the ray, or send it through the chord; there
-    the facet's own (nx, ny, nz) serves.
+    Close to a silhouette it may face away from the ray, or send it through the chord.
     """
-    w = 1.0 - u - v
-    sx, sy, sz = _unit(
-        w * corners[0, 0] + u * corners[1, 0] + v * corners[2, 0],
-        w * corners[0, 1] + u * corners[1, 1] + v * corners[2, 1],
-        w * corners[0, 2] + u * corners[1, 2] + v * corners[2, 2],
-    )
     ex, ey, ez = _mirrored(dx, dy, dz, sx, sy, sz)
-    if dx * sx + dy * sy + dz * sz < 0 and ex * nx + ey * ny + ez * nz > 0:
-        return sx, sy, sz
-    return nx, ny, nz
+    return dx * sx + dy * sy + dz * sz < 0 and ex * nx + ey * ny + ez * nz > 0
 
 
 @kernel
@@ -383,117 +395,133 @@ def _wrapped(position, half):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _reflect(wave, i, hit, facets, tile, substance, lamp, replicate):  # type: ignore[no-untyped-def]
-    """Reflect path i where it hit the surface. Returns its fate."""
-    primitive, distance, u, v = hit
-    dx, dy, dz = np.float64(wave.directions[i, 0]), np.float64(wave.directions[i, 1]), np.float64(wave.directions[i, 2])
-    normals, corner_normals = facets
-    nx, ny, nz = np.float64(normals[primitive, 0]), np.float64(normals[primitive, 1]), np.float64(normals[primitive, 2])
-    behind = dx * nx + dy * ny + dz * nz >= 0
-    if behind and min(u, v, 1 - u - v) > CLIPPED:
-        return LOST
-    wave.origins[i, 0] = _wrapped(wave.origins[i, 0] + distance * dx + tile.offset * nx, tile.half_x)
-    wave.origins[i, 1] = _wrapped(wave.origins[i, 1] + distance * dy + tile.offset * ny, tile.half_y)
-    wave.origins[i, 2] = wave.origins[i, 2] + distance * dz + tile.offset * nz
-    if behind:
-        wave.crossings[i] += 1
-        return _IN_FLIGHT
-    wave.hits[i] += 1
-    wave.crossings[i] = 0
-    if corner_normals.shape[0]:
-        nx, ny, nz = _exact_normal(corner_normals[primitive], u, v, dx, dy, dz, nx, ny, nz)
-    cosine = min(1.0, -(dx * nx + dy * ny + dz * nz))
-    if substance.kind == _LAMBERTIAN:
-        path = wave.paths[i]
-        r0, r1, _, _ = philox(path, path >> 32, replicate, wave.hits[i], lamp.key[0], lamp.key[1])
-        dx, dy, dz = _cosine_direction(r0, r1, nx, ny, nz)
-    else:
-        dx, dy, dz = _mirrored(dx, dy, dz, nx, ny, nz)
-    # One Newton step: without it the length would drift over thousands of hits.
-    scale = 1.5 - 0.5 * (dx * dx + dy * dy + dz * dz)
-    wave.directions[i, 0], wave.directions[i, 1], wave.directions[i, 2] = dx * scale, dy * scale, dz * scale
-    largest = 1.0
-    if substance.kind != _MIRROR:
-        largest = 0.0
-        for w in range(wave.weights.shape[1]):
-            if substance.kind == _FRESNEL:
-                wave.weights[i, w] *= fresnel(cosine, substance.eta[w], substance.k[w])
-            else:
-                wave.weights[i, w] *= substance.reflectance[w]
-            largest = max(largest, wave.weights[i, w])
-    if largest < NEGLIGIBLE or wave.hits[i] >= MAX_HITS:
-        return TRUNCATED
-    return _IN_FLIGHT
+def _pass_on(x, y, z, dx, dy, dz, reach, tile):  # type: ignore[no-untyped-def]
+    """A ray that meets nothing before the far side of the seam escapes at the top or re-enters opposite.
 
-
-@kernel
-def _pass_on(wave, i, tile):  # type: ignore[no-untyped-def]
-    """Path i meets nothing before the far side of the seam: it escapes at the top or re-enters opposite."""
-    dz = np.float64(wave.directions[i, 2])
-    if dz > 0 and wave.origins[i, 2] + wave.reach[i] * dz >= tile.top:
-        return _ESCAPED
-    side = max(0.0, _to_edge(wave.origins[i], wave.directions[i], tile.half_x, tile.half_y))
-    x = wave.origins[i, 0] + side * np.float64(wave.directions[i, 0])
-    y = wave.origins[i, 1] + side * np.float64(wave.directions[i, 1])
+    Returns its fate and where it goes on.
+    """
+    if dz > 0 and z + reach * dz >= tile.top:
+        return _ESCAPED, x, y, z
+    side = max(0.0, _to_edge(x, y, dx, dy, tile.half_x, tile.half_y))
+    x, y, z = x + side * dx, y + side * dy, z + side * dz
     # The coordinate that has reached its side goes opposite.
     if tile.half_x - abs(x) < tile.half_y - abs(y):
-        wave.origins[i, 0] = -math.copysign(tile.half_x, wave.directions[i, 0])
-        wave.origins[i, 1] = min(tile.half_y, max(-tile.half_y, y))
+        x, y = -math.copysign(tile.half_x, dx), min(tile.half_y, max(-tile.half_y, y))
     else:
-        wave.origins[i, 0] = min(tile.half_x, max(-tile.half_x, x))
-        wave.origins[i, 1] = -math.copysign(tile.half_y, wave.directions[i, 1])
-    wave.origins[i, 2] += side * dz
-    wave.crossings[i] += 1
-    if wave.origins[i, 2] < tile.bottom:
-        return LOST
-    if wave.crossings[i] >= MAX_CROSSINGS:
-        return TRUNCATED
-    return _IN_FLIGHT
+        x, y = min(tile.half_x, max(-tile.half_x, x)), -math.copysign(tile.half_y, dy)
+    return (LOST if z < tile.bottom else _IN_FLIGHT), x, y, z
 
 
 @kernel
-def _place(wave, i, bins, lamp, turn):  # type: ignore[no-untyped-def]
-    """The bin of a grid that path i escapes into."""
-    x, y, z = np.float64(wave.directions[i, 0]), np.float64(wave.directions[i, 1]), np.float64(wave.directions[i, 2])
-    flat = x * x + y * y
-    sector = 0  # the pole itself has no azimuth
-    if flat > 0:
-        turns = (math.atan2(y, x) - bins.turn - _surface_angle(wave.paths[i], turn, lamp)) * (0.5 / math.pi)
-        turns += 0.5 / bins.sectors
-        sector = min(int((turns - math.floor(turns)) * bins.sectors), bins.sectors - 1)
-    sin2 = flat / (flat + z * z)
-    low, high = 0, bins.sin2_edges.size - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if sin2 >= bins.sin2_edges[middle]:
-            low = middle
-        else:
-            high = middle
-    return low * bins.sectors + sector
-
-
-@kernel
-def _arrive(wave, i, bins, lamp, turn, catch):  # type: ignore[no-untyped-def]
-    """Path i has escaped: add its weights to its bin, or to every aperture that sees it."""
-    order = min(wave.hits[i], ORDERS) - 1
-    if bins.sin2_edges.size:
-        place = _place(wave, i, bins, lamp, turn)
-        _add(wave.weights[i], catch.weight[order, place])
-        catch.hits[order, place] += 1
-        return
-    x, y, z = _unit(
-        np.float64(wave.directions[i, 0]), np.float64(wave.directions[i, 1]), np.float64(wave.directions[i, 2])
+def _move(wave, active, found, facets, tile, substance, lamp, first_replicate):  # type: ignore[no-untyped-def]
+    """Move every path past its next event, and note its fate."""
+    primitives, distances, us, vs = found
+    normals, corner_normals = facets
+    origins, directions, weights, hits, crossings = (
+        wave.origins,
+        wave.directions,
+        wave.weights,
+        wave.hits,
+        wave.crossings,
     )
-    angle = _surface_angle(wave.paths[i], turn, lamp)
-    c, s = math.cos(angle), math.sin(angle)
-    x, y = c * x + s * y, c * y - s * x
-    for aperture in range(bins.size):
-        axis = bins.axes[aperture]
-        if x * axis[0] + y * axis[1] + z * axis[2] >= bins.cos_half_angle:
-            _add(wave.weights[i], catch.weight[order, aperture])
-            catch.hits[order, aperture] += 1
-    _add(wave.weights[i], catch.weight[order, bins.size])
-    catch.hits[order, bins.size] += 1
+    for i in range(active):
+        x, y, z = np.float64(origins[i, 0]), np.float64(origins[i, 1]), np.float64(origins[i, 2])
+        dx, dy, dz = np.float64(directions[i, 0]), np.float64(directions[i, 1]), np.float64(directions[i, 2])
+        primitive = primitives[i]
+        if primitive < 0:
+            fate, x, y, z = _pass_on(x, y, z, dx, dy, dz, np.float64(wave.reach[i]), tile)
+            crossings[i] += 1
+        else:
+            fate = _IN_FLIGHT
+            u, v = np.float64(us[i]), np.float64(vs[i])
+            nx, ny = np.float64(normals[primitive, 0]), np.float64(normals[primitive, 1])
+            nz = np.float64(normals[primitive, 2])
+            distance = np.float64(distances[i])
+            x = _wrapped(x + distance * dx + tile.offset * nx, tile.half_x)
+            y = _wrapped(y + distance * dy + tile.offset * ny, tile.half_y)
+            z += distance * dz + tile.offset * nz
+            if dx * nx + dy * ny + dz * nz >= 0:
+                crossings[i] += 1
+                if min(u, v, 1 - u - v) > CLIPPED:
+                    fate = LOST
+            else:
+                hits[i] += 1
+                crossings[i] = 0
+                if corner_normals.shape[0]:
+                    c = corner_normals[primitive]
+                    t = 1.0 - u - v
+                    sx, sy, sz = _unit(
+                        t * c[0, 0] + u * c[1, 0] + v * c[2, 0],
+                        t * c[0, 1] + u * c[1, 1] + v * c[2, 1],
+                        t * c[0, 2] + u * c[1, 2] + v * c[2, 2],
+                    )
+                    if _serves(sx, sy, sz, dx, dy, dz, nx, ny, nz):
+                        nx, ny, nz = sx, sy, sz
+                cosine = min(1.0, -(dx * nx + dy * ny + dz * nz))
+                largest = 0.0
+                for w in range(weights.shape[1]):
+                    if substance.kind == _FRESNEL:
+                        weights[i, w] *= fresnel(cosine, substance.eta[w], substance.k[w])
+                    elif substance.kind == _LAMBERTIAN:
+                        weights[i, w] *= substance.reflectance[w]
+                    largest = max(largest, weights[i, w])
+                if substance.kind == _LAMBERTIAN:
+                    path, replicate = wave.paths[i], first_replicate + wave.members[i]
+                    r0, r1, _, _ = philox(path, path >> 32, replicate, hits[i], lamp.key[0], lamp.key[1])
+                    dx, dy, dz = _cosine_direction(r0, r1, nx, ny, nz)
+                else:
+                    dx, dy, dz = _mirrored(dx, dy, dz, nx, ny, nz)
+                # One Newton step: without it the length would drift over thousands of hits.
+                scale = 1.5 - 0.5 * (dx * dx + dy * dy + dz * dz)
+                directions[i, 0], directions[i, 1], directions[i, 2] = dx * scale, dy * scale, dz * scale
+                if largest < NEGLIGIBLE or hits[i] >= MAX_HITS:
+                    fate = TRUNCATED
+        origins[i, 0], origins[i, 1], origins[i, 2] = x, y, z
+        if fate == _IN_FLIGHT:
+            horizontal = directions[i, 2] == 0 and z >= tile.top
+            if horizontal or crossings[i] >= MAX_CROSSINGS:
+                fate = TRUNCATED
+        wave.fates[i] = fate
+
+
+@kernel
+def _sector(x, y, offset, sectors):  # type: ignore[no-untyped-def]
+    """Which of the azimuth bins, the first centred on `offset` turns, a direction lies in; the pole is in the first."""
+    if x == 0 and y == 0:
+        return 0
+    turns = math.atan2(y, x) * (0.5 / math.pi) - offset + 0.5 / sectors
+    return min(int((turns - math.floor(turns)) * sectors), sectors - 1)
+
+
+@kernel
+def _collect(wave, active, bins, lamp, turns, caught):  # type: ignore[no-untyped-def]
+    """Add the paths that have escaped to their bins of a grid.
+
+    First the bins are found, then a short loop adds to them: they lie far apart in memory, and so the processor can
+    wait for many of them at once.
+    """
+    directions, fates, arrivals, edges = wave.directions, wave.fates, wave.arrivals, bins.sin2_edges
+    weights, width = wave.weights, wave.weights.shape[1]
+    arrived = 0
+    for i in range(active):
+        if fates[i] != _ESCAPED:
+            continue
+        x, y, z = np.float64(directions[i, 0]), np.float64(directions[i, 1]), np.float64(directions[i, 2])
+        offset = bins.turn + _surface_turn(wave.paths[i], turns[wave.members[i]], lamp.average)
+        sin2 = (x * x + y * y) / (x * x + y * y + z * z)
+        ring, step = 0, edges.size // 2
+        while step:
+            # Without a branch: it could not be foreseen.
+            ring += step * (sin2 >= edges[ring + step])
+            step //= 2
+        arrivals[arrived, 0], arrivals[arrived, 1] = i, ring * bins.sectors + _sector(x, y, offset, bins.sectors)
+        arrived += 1
+    for j in range(arrived):
+        i, place = arrivals[j, 0], arrivals[j, 1]
+        order, member = min(wave.hits[i], ORDERS) - 1, wave.members[i]
+        for w in range(width):
+            caught[order, place, member, w] += _integer(weights[i, w])
+        caught[order, place, member, width] += 1
 
 
 @kernel
@@ -502,54 +530,54 @@ def _integer(weight):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add(weights, total):  # type: ignore[no-untyped-def]
-    for w in range(weights.size):
-        total[w] += _integer(weights[w])
+def _sight(wave, active, bins, lamp, turns, caught):  # type: ignore[no-untyped-def]
+    """Add the paths that have escaped to every aperture that sees them, and to the whole hemisphere."""
+    directions, axes, weights, width = wave.directions, bins.axes, wave.weights, wave.weights.shape[1]
+    for i in range(active):
+        if wave.fates[i] != _ESCAPED:
+            continue
+        x, y, z = _unit(np.float64(directions[i, 0]), np.float64(directions[i, 1]), np.float64(directions[i, 2]))
+        order, member = min(wave.hits[i], ORDERS) - 1, wave.members[i]
+        angle = 2 * math.pi * _surface_turn(wave.paths[i], turns[member], lamp.average)
+        c, s = math.cos(angle), math.sin(angle)
+        x, y = c * x + s * y, c * y - s * x
+        for place in range(bins.size + 1):
+            seen = place == bins.size or x * axes[place, 0] + y * axes[place, 1] + z * axes[place, 2] >= bins.cosine
+            if seen:
+                for w in range(width):
+                    caught[order, place, member, w] += _integer(weights[i, w])
+                caught[order, place, member, width] += 1
 
 
 @kernel
-def _spend(weights, fate, ledger):  # type: ignore[no-untyped-def]
-    """A path ends: what it lost on its way is absorbed; what it still carries goes to `fate`, unless it escaped."""
-    for w in range(weights.size):
-        carried = _integer(weights[w])
-        ledger[ABSORBED, w] += UNIT - carried
-        if fate >= 0:
-            ledger[fate, w] += carried
+def _settle(wave, active, tile, ledger):  # type: ignore[no-untyped-def]
+    """Enter in the ledger what has ended and close up the rest at the front. Returns how many are still in flight.
 
-
-@kernel
-def _keep(wave, source, target):  # type: ignore[no-untyped-def]
-    """Move a path to the front of the wave, where it stays in flight."""
-    for axis in range(3):
-        wave.origins[target, axis] = wave.origins[source, axis]
-        wave.directions[target, axis] = wave.directions[source, axis]
-    for w in range(wave.weights.shape[1]):
-        wave.weights[target, w] = wave.weights[source, w]
-    wave.paths[target] = wave.paths[source]
-    wave.hits[target] = wave.hits[source]
-    wave.crossings[target] = wave.crossings[source]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _advance(wave, active, found, facets, tile, substance, bins, lamp, turn, replicate, catch):  # type: ignore[no-untyped-def]
-    """Move every path on by one event. Returns how many are still in flight, closed up at the front."""
-    primitives, distances, u, v = found
+    What a path lost on its way is absorbed; what it still carries when it ends is truncated or lost, or has escaped.
+    """
+    origins, directions, weights = wave.origins, wave.directions, wave.weights
     left = 0
     for i in range(active):
-        if primitives[i] >= 0:
-            hit = (primitives[i], np.float64(distances[i]), np.float64(u[i]), np.float64(v[i]))
-            fate = _reflect(wave, i, hit, facets, tile, substance, lamp, replicate)
-        else:
-            fate = _pass_on(wave, i, tile)
-        if fate == _IN_FLIGHT and wave.directions[i, 2] == 0 and wave.origins[i, 2] >= tile.top:
-            fate = TRUNCATED
-        if fate == _IN_FLIGHT:
-            if left != i:
-                _keep(wave, i, left)
-            wave.reach[left] = _to_edge(wave.origins[left], wave.directions[left], tile.outer_x, tile.outer_y)
-            left += 1
+        fate = wave.fates[i]
+        if fate != _IN_FLIGHT:
+            member = wave.members[i]
+            for w in range(weights.shape[1]):
+                carried = _integer(weights[i, w])
+                ledger[member, ABSORBED, w] += UNIT - carried
+                if fate >= 0:
+                    ledger[member, fate, w] += carried
             continue
-        if fate == _ESCAPED:
-            _arrive(wave, i, bins, lamp, turn, catch)
-        _spend(wave.weights[i], fate, catch.ledger)
+        for axis in range(3):
+            origins[left, axis] = origins[i, axis]
+            directions[left, axis] = directions[i, axis]
+        for w in range(weights.shape[1]):
+            weights[left, w] = weights[i, w]
+        wave.paths[left] = wave.paths[i]
+        wave.members[left] = wave.members[i]
+        wave.hits[left] = wave.hits[i]
+        wave.crossings[left] = wave.crossings[i]
+        x, y = np.float64(origins[left, 0]), np.float64(origins[left, 1])
+        dx, dy = np.float64(directions[left, 0]), np.float64(directions[left, 1])
+        wave.reach[left] = _to_edge(x, y, dx, dy, tile.outer_x, tile.outer_y)
+        left += 1
     return left

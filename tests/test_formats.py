@@ -10,7 +10,8 @@ import xarray as xr
 
 import gonio
 from gonio.detectors import HemisphereGrid
-from gonio.formats import WRITERS, exr, replacing
+from gonio.formats import WRITERS, exr
+from microsurfaces.files import replacing
 
 THETA_I, PHI_I, WAVELENGTHS = [10.0, 30.25], [0.0, 250.0], [450.0, 632.8]
 
