@@ -363,12 +363,19 @@ def save(measurement: Measurement, path: str | Path) -> Path:
 
     The file appears when it is complete, under a temporary name until then.
     """
+    import xarray as xr
+
     path = Path(path)
+    packed = {"zlib": True, "complevel": 1, "shuffle": True}
+    groups = {"/": measurement.dataset, "/sums": measurement.sums}
+    encoding = {
+        group: {name: packed for name, variable in dataset.data_vars.items() if variable.ndim > 3}
+        for group, dataset in groups.items()
+    }
+    # In memory first: HDF5 does not survive a full disk.
+    content = xr.DataTree.from_dict(groups).to_netcdf(engine="h5netcdf", encoding=encoding, write_inherited_coords=True)
     with replacing(path) as scratch:
-        packed = {"zlib": True, "complevel": 1, "shuffle": True}
-        for group, dataset, mode in ((None, measurement.dataset, "w"), ("sums", measurement.sums, "a")):
-            encoding = {name: packed for name, variable in dataset.data_vars.items() if variable.ndim > 3}
-            dataset.to_netcdf(scratch, mode=mode, group=group, engine="h5netcdf", encoding=encoding)  # type: ignore[call-overload]
+        scratch.write_bytes(content)
     return path
 
 

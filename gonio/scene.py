@@ -57,7 +57,7 @@ class Scene:
         self.material = material
         self.mesh = relief if isinstance(relief, Mesh) else relief.mesh()
         self.mesh.check()
-        vertices, faces, source = _with_seam(self.mesh)
+        vertices, faces, repeated = _with_seam(self.mesh)
         largest = float(np.abs(vertices).max())
         offset = OFFSET * largest
         half_x, half_y = self.mesh.period[0] / 2, self.mesh.period[1] / 2
@@ -70,9 +70,10 @@ class Scene:
             float(vertices[:, 2].max()) + 4 * offset,
             offset,
         )
-        self.normals = self.mesh.normals().astype(np.float32)[source]
+        normals, corner_normals = self.mesh.normals().astype(np.float32), _corner_normals(self.mesh)
+        self.normals = np.concatenate([normals, normals[repeated]])
         """Facet normals (triangles, 3), seam included."""
-        self.corner_normals = _corner_normals(self.mesh, source)
+        self.corner_normals = np.concatenate([corner_normals, corner_normals[repeated if len(corner_normals) else []]])
         """Exact normals at the triangles' corners (triangles, 3, 3), empty where facets are facets."""
         self._embree = EmbreeScene(EmbreeDevice(), robust=True)
         self._geometry = TriangleMesh(self._embree, vertices, faces)
@@ -94,45 +95,35 @@ class Scene:
 
 
 def _with_seam(mesh: Mesh) -> tuple[Float32s, NDArray[np.int32], NDArray[np.intp]]:
-    """Centred vertices (n, 3), faces (m, 3) and for each face the face of `mesh` that it repeats (m,)."""
+    """Centred vertices (n, 3), faces (m, 3), and which faces of `mesh` are repeated behind its own in the seam."""
     period = np.array([*mesh.period, 0.0])
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     # The relief's own corner is the tile's, so that a height field needs no more than its border cells.
     centre = np.array([low[0], low[1], (low[2] + high[2]) / 2]) + period / 2
     base = mesh.vertices - centre
-    least, most = _face_boxes(base[:, :2].astype(np.float32), mesh.faces)
     outer = (0.5 + SEAM) * period[:2]
+    # What a shift by whole periods brings into the box has a corner within a seam of the box's sides, or outside.
+    border = np.asarray((np.abs(base[:, :2]) > period[:2] - outer).any(axis=1))
+    candidates = np.flatnonzero(border[mesh.faces].any(axis=1))
+    corners = base[mesh.faces[candidates], :2]
+    least, most = corners.min(axis=1), corners.max(axis=1)
     reach = np.ceil((high - low)[:2] / period[:2] + SEAM).astype(int)
-    vertices, faces, source = [base.astype(np.float32)], [mesh.faces], [np.arange(len(mesh.faces))]
-    count = len(base)
+    vertices, faces, repeated, count = [base.astype(np.float32)], [mesh.faces], [candidates[:0]], len(base)
     for i, j in np.ndindex(*(2 * reach + 1)):
         shift = (np.array([i, j]) - reach) * period[:2]
-        if not shift.any():
-            continue
-        chosen = np.flatnonzero(((least < outer - shift) & (most > -outer - shift)).all(axis=1))
-        if not chosen.size:
+        chosen = candidates[((least < outer - shift) & (most > -outer - shift)).all(axis=1)]
+        if not shift.any() or not chosen.size:
             continue
         used, renumbered = np.unique(mesh.faces[chosen], return_inverse=True)
         vertices.append((base[used] + [*shift, 0.0]).astype(np.float32))
         faces.append((renumbered.reshape(-1, 3) + count).astype(np.int32))
-        source.append(chosen)
+        repeated.append(chosen)
         count += len(used)
-    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(source)
+    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(repeated)
 
 
-def _face_boxes(points: Float32s, faces: NDArray[np.int32]) -> tuple[Float32s, Float32s]:
-    """Least and greatest x, y of every face, each (m, 2)."""
-    least = points[faces[:, 0]]
-    most = least.copy()
-    for corner in (1, 2):
-        other = points[faces[:, corner]]
-        np.minimum(least, other, out=least)
-        np.maximum(most, other, out=most)
-    return least, most
-
-
-def _corner_normals(mesh: Mesh, source: NDArray[np.intp]) -> Float32s:
+def _corner_normals(mesh: Mesh) -> Float32s:
     """Exact normals of every triangle's corners (m, 3, 3); shape (0, 3, 3) for a mesh of plain facets."""
     if mesh.vertex_normals is None:
         return np.zeros((0, 3, 3), np.float32)
-    return mesh.vertex_normals[mesh.faces[source]].astype(np.float32)
+    return mesh.vertex_normals[mesh.faces].astype(np.float32)

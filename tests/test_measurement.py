@@ -50,7 +50,7 @@ def test_a_file_gives_back_the_measurement(tmp_path, specimens):
     path = save(specimens[0], tmp_path / "cu.nc")
     again = load(path)
     assert again.dataset.identical(specimens[0].dataset)
-    assert again.sums.identical(specimens[0].sums)
+    assert again.sums.equals(specimens[0].sums)
     assert [p.name for p in tmp_path.iterdir()] == ["cu.nc"]
     with xr.open_dataset(path, engine="h5netcdf") as foreign:
         np.testing.assert_array_equal(foreign["brdf"].values, specimens[0].dataset["brdf"].values)
@@ -66,7 +66,7 @@ def test_a_failed_save_leaves_the_old_file(tmp_path, specimens, monkeypatch):
     def full(*_args, **_kwargs):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(xr.Dataset, "to_netcdf", full)
+    monkeypatch.setattr(type(path), "write_bytes", full)
     with pytest.raises(OSError, match="no space"):
         save(specimens[1], path)
     assert path.read_bytes() == before
