@@ -7,6 +7,7 @@ former follows from the latter, so measurements of further specimens merge exact
 from __future__ import annotations
 
 import functools
+import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -363,19 +364,14 @@ def save(measurement: Measurement, path: str | Path) -> Path:
 
     The file appears when it is complete, under a temporary name until then.
     """
-    import xarray as xr
-
     path = Path(path)
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
-    groups = {"/": measurement.dataset, "/sums": measurement.sums}
-    encoding = {
-        group: {name: packed for name, variable in dataset.data_vars.items() if variable.ndim > 3}
-        for group, dataset in groups.items()
-    }
-    # In memory first: HDF5 does not survive a full disk.
-    content = xr.DataTree.from_dict(groups).to_netcdf(engine="h5netcdf", encoding=encoding, write_inherited_coords=True)
+    content = io.BytesIO()  # in memory first: HDF5 does not survive a full disk
+    for group, dataset, mode in ((None, measurement.dataset, "w"), ("sums", measurement.sums, "a")):
+        encoding = {name: packed for name, variable in dataset.data_vars.items() if variable.ndim > 3}
+        dataset.to_netcdf(content, mode=mode, group=group, engine="h5netcdf", encoding=encoding)  # type: ignore[call-overload]
     with replacing(path) as scratch:
-        scratch.write_bytes(content)
+        scratch.write_bytes(content.getvalue())
     return path
 
 

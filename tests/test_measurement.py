@@ -50,7 +50,7 @@ def test_a_file_gives_back_the_measurement(tmp_path, specimens):
     path = save(specimens[0], tmp_path / "cu.nc")
     again = load(path)
     assert again.dataset.identical(specimens[0].dataset)
-    assert again.sums.equals(specimens[0].sums)
+    assert again.sums.identical(specimens[0].sums)
     assert [p.name for p in tmp_path.iterdir()] == ["cu.nc"]
     with xr.open_dataset(path, engine="h5netcdf") as foreign:
         np.testing.assert_array_equal(foreign["brdf"].values, specimens[0].dataset["brdf"].values)
