@@ -181,17 +181,27 @@ def _write_results(
     experiment: Experiment, measurement: Measurement, models: Sequence[Model], folder: Path
 ) -> list[str]:
     """Write the numbers, then the pictures; each file appears whole. The names of the files, the numbers' first."""
+    try:
+        _write_numbers(experiment, measurement, folder)
+    except OSError as error:
+        refuge = Path(tempfile.mkdtemp(prefix="gonio-"))
+        with contextlib.suppress(OSError):
+            _write_numbers(experiment, measurement, refuge)
+            raise RunError(f"{folder} cannot be written ({_reason(error)}): the results are in {refuge}.") from None
+        raise RunError(
+            f"{folder} cannot be written ({_reason(error)}), nor can {refuge}: the results are lost."
+        ) from None
+    return ["measurement.nc", "experiment.toml", *_draw(measurement, models, folder)]
+
+
+def _write_numbers(experiment: Experiment, measurement: Measurement, folder: Path) -> None:
     from gonio.measurement import save
     from microsurfaces.files import replacing
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        save(measurement, folder / "measurement.nc")
-        with replacing(folder / "experiment.toml") as path:
-            experiment.write(path)
-    except OSError as error:
-        raise RunError(f"{folder} cannot be written ({_reason(error)}): the results are lost.") from None
-    return ["measurement.nc", "experiment.toml", *_draw(measurement, models, folder)]
+    folder.mkdir(parents=True, exist_ok=True)
+    save(measurement, folder / "measurement.nc")
+    with replacing(folder / "experiment.toml") as path:
+        experiment.write(path)
 
 
 def _draw(measurement: Measurement, models: Sequence[Model], folder: Path) -> list[str]:

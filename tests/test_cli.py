@@ -340,15 +340,25 @@ def test_ctrl_c_while_drawing_keeps_the_numbers(run: Gonio, monkeypatch: pytest.
     assert files() == {"toy.toml", "out/toy/measurement.nc", "out/toy/experiment.toml"}
 
 
-def test_a_full_disk_is_one_sentence(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "anything")
+def test_a_full_disk_loses_nothing(
+    run: Gonio, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    from gonio import measurement
+
+    refuge, save = tmp_path_factory.mktemp("refuge"), measurement.save
+
+    def full(result: measurement.Measurement, path: Path) -> Path:
+        if path.parent != refuge:
+            raise OSError(errno.ENOSPC, "anything")
+        return save(result, path)
 
     monkeypatch.setattr("gonio.measurement.save", full)
+    monkeypatch.setattr("tempfile.mkdtemp", lambda **_: str(refuge))
     code, _, err = run("run", "toy.toml")
     assert code == 1
-    assert err == "out/toy cannot be written (no space left on device): the results are lost.\n"
+    assert err == f"out/toy cannot be written (no space left on device): the results are in {refuge}.\n"
     assert files() == {"toy.toml"}
+    assert {path.name for path in refuge.iterdir()} == {"measurement.nc", "experiment.toml"}
 
 
 def test_too_little_memory_is_one_sentence(run: Gonio) -> None:
