@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
     from rich.table import Table
 
+    from gonio.compare import Verdict
     from gonio.experiment import Experiment
     from gonio.measurement import Measurement
     from gonio.models import Model
@@ -355,7 +356,7 @@ def _incidence_table() -> Table:
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, caption_justify="left")
-    table.add_column("light from", justify="right")
+    table.add_column("light from", justify="right", no_wrap=True)
     return table
 
 
@@ -377,6 +378,14 @@ def _with_error(value: float, error: float) -> str:
     return f"{value:.{decimals}f} ± {error:.{decimals}f}"
 
 
+def _concise(value: float, error: float) -> str:
+    """A value with the standard error of its last two digits in brackets, as metrologists write it."""
+    if not error >= 5e-8:
+        return f"{value:.6f}"
+    decimals = max(1 - math.floor(math.log10(error)), 0)
+    return f"{value:.{decimals}f}({error * 10**decimals:.0f})"
+
+
 def _models(measurement: Measurement, names: Sequence[str] | None) -> tuple[tuple[Model, ...], tuple[str, ...]]:
     """The models to compare with, and why there are none: a measurement is worth keeping all the same."""
     from gonio.experiment import InputError, models_for
@@ -388,17 +397,48 @@ def _models(measurement: Measurement, names: Sequence[str] | None) -> tuple[tupl
 
 
 def _judge(measurement: Measurement, models: Sequence[Model]) -> None:
-    """Print how each model compares with the measurement; what holds for all of them only once."""
+    """Print how each model compares with single scattering as measured, and what is noise and what is not."""
     from gonio.compare import compare
 
-    said: set[str] = set()
-    for model in models:
-        sentences = compare(measurement, model).sentences()
-        _say(f"\n{type(model).__name__}", style="bold")
-        for sentence in sentences:
-            if sentence not in said:
-                _say(sentence)
-        said.update(sentences)
+    verdicts = [compare(measurement, model) for model in models]
+    for verdict in verdicts:
+        _show(f"{_short(verdict.model)} against the light of one hit", _verdict_table(verdict))
+    if verdicts:
+        _say(
+            "Of every incidence the wavelength whose albedo differs most; in brackets the standard error of its last "
+            "digits. L1: how far the lobes differ, and how far noise alone would make them. Differs: noise does not "
+            "explain it; unclear: specimens that move the whole lobe could; more realisations would tell."
+        )
+        for sentence in verdicts[0].preamble():
+            _say(sentence)
+
+
+def _short(model: Model) -> str:
+    """A model's name, and that of its masking where it has one."""
+    masking = getattr(model, "masking", None)
+    parts = [type(part).__name__ for part in (getattr(model, "distribution", None), masking) if part is not None]
+    return type(model).__name__ + (f" ({', '.join(parts)})" if parts else "")
+
+
+def _verdict_table(verdict: Verdict) -> Table:
+    """Albedo and lobe of a model, each with its verdict, one row an incidence."""
+    table = _incidence_table()
+    for heading in ("nm", "albedo", "model", "verdict", "L1", "noise", "verdict"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in verdict.worst_rows():
+        measured, model = float(row["albedo_measured"]), float(row["albedo_model"])
+        difference = f"{model / measured - 1:+.2%}" if measured else "-"
+        table.add_row(
+            _incidence(row["theta_i"], row["phi_i"]),
+            f"{row['wavelength']:g}",
+            _concise(measured, float(row["albedo_standard_error"])),
+            difference,
+            "differs" if row["albedo_differs"] else "noise",
+            f"{row['l1']:.1%}",
+            f"{row['l1_noise']:.1%}",
+            str(row["lobe"]),
+        )
+    return table
 
 
 # --- surface ---------------------------------------------------------------------------------------------------------

@@ -67,9 +67,10 @@ class Verdict:
     def sentences(self) -> list[str]:
         """The verdict in plain sentences: what it speaks of, then two for each incidence, at its worst wavelength."""
         name = type(self.model).__name__
-        return [*self._preamble(), *(line for row in self._worst_rows() for line in _describe(row, name))]
+        return [*self.preamble(), *(line for row in self.worst_rows() for line in _describe(row, name))]
 
-    def _preamble(self) -> list[str]:
+    def preamble(self) -> list[str]:
+        """What the verdict speaks of."""
         if self.scope == "specimen":
             scope = (
                 "One specimen was measured, so the errors are Monte Carlo noise and all of this speaks of that "
@@ -88,8 +89,9 @@ class Verdict:
         )
         return [scope, beam]
 
-    def _worst_rows(self) -> list[dict[str, Any]]:
-        """One row an incidence: the wavelength at which the albedos differ most, with the coordinates that vary."""
+    def worst_rows(self) -> list[dict[str, Any]]:
+        """One row of `table` an incidence, the wavelength at which the albedos differ most; `several` tells which of
+        the coordinates vary."""
         rows = []
         for theta in self.table["theta_i"].values:
             for phi in self.table["phi_i"].values:
@@ -320,7 +322,8 @@ def _albedo_sentence(row: dict[str, Any], name: str) -> str:
     judgement = "not noise" if row["albedo_differs"] else "within the noise"
     return (
         f"order-1 albedo {measured:.{digits}f} ± {error:.{digits}f}, {name} {model:.{digits}f}: {comparison}, "
-        f"{abs(row['z']):.3g} standard errors: {judgement}."
+        f"t = {row['z']:.3g} with {row['degrees_of_freedom']:.0f} degrees of freedom, "
+        f"p = {row['p_value']:.2g}: {judgement}."
     )
 
 
