@@ -36,7 +36,7 @@ def main() -> None:
     print(f"surface and acceleration structure {built - started:.2f} s; first measurement, compilation included, "
           f"{time.perf_counter() - built:.2f} s")  # fmt: skip
 
-    queries = recorded(scene, lambda: goniometer.measure(scene, threads=1))
+    queries = recorded(scene, lambda: goniometer.measure(scene, threads=threads))
     rays = sum(len(origins) for origins, _, _ in queries)
 
     def bare() -> None:

@@ -37,6 +37,9 @@ CLIPPED = 1e-3
 """A ray that meets a facet from behind, this close to its edge in barycentric coordinates, has only clipped a ridge by
 a rounding error: it goes on. Anywhere else it has come from under the surface and is lost."""
 
+RING_STEPS = 4096
+"""Steps of sin² that the ring of a direction is looked up by."""
+
 ORDERS = 3
 """One hit, two hits, three and more."""
 
@@ -81,7 +84,9 @@ class Bins(NamedTuple):
     size: int
     """How many bins."""
     sin2_edges: NDArray[np.float64]
-    """sin² of the lower ring edges of a grid, filled up with inf to a power of two; empty for apertures."""
+    """sin² of the upper ring edges of a grid, inf for the last; empty for apertures."""
+    rings: NDArray[np.int64]
+    """The ring in which each of many equal steps of sin² begins."""
     sectors: int
     turn: float
     """Azimuth of the traced frame that the bins count from, in turns: the lamp's for a grid, 0 for apertures."""
@@ -105,8 +110,8 @@ class Wave(NamedTuple):
     crossings: NDArray[np.int32]
     fates: NDArray[np.int8]
     """What the last event did to a path: still in flight, escaped, truncated or lost."""
-    arrivals: NDArray[np.int32]
-    """Scratch: the row and the bin of every path that has just escaped."""
+    arrivals: NDArray[np.int64]
+    """Scratch: the row of every path that has just escaped, and the record of `Catch.bins` that it adds to."""
 
 
 class Catch(NamedTuple):
@@ -143,13 +148,15 @@ def bins_of(detector: Detector, phi_i: float) -> Bins:
     """`detector` for the kernels, for light from azimuth `phi_i` in degrees."""
     match detector:
         case HemisphereGrid():
-            lower = np.sin(np.radians(detector.theta_edges[:-1])) ** 2
-            sin2 = np.full(1 << (len(lower) - 1).bit_length(), np.inf)
-            sin2[: len(lower)] = lower
-            return Bins(detector.bins, sin2, detector.shape[1], phi_i / 360, np.zeros((0, 3)), 1.0)
+            upper = np.sin(np.radians(detector.theta_edges[1:])) ** 2
+            upper[-1] = np.inf
+            rings = np.searchsorted(upper, np.arange(RING_STEPS + 1) / RING_STEPS, side="right")
+            return Bins(detector.bins, upper, rings, detector.shape[1], phi_i / 360, np.zeros((0, 3)), 1.0)
         case Apertures():
             cosine = math.cos(math.radians(detector.half_angle))
-            return Bins(detector.bins, np.zeros(0), 1, 0.0, np.ascontiguousarray(detector.axes), cosine)
+            return Bins(
+                detector.bins, np.zeros(0), np.zeros(0, np.int64), 1, 0.0, np.ascontiguousarray(detector.axes), cosine
+            )
 
 
 def trace(
@@ -209,7 +216,7 @@ def _empty_wave(size: int, wavelengths: int) -> Wave:
         np.zeros(size, np.int32),
         np.zeros(size, np.int32),
         np.zeros(size, np.int8),
-        np.zeros((size, 2), np.int32),
+        np.zeros((size, 2), np.int64),
     )
 
 
@@ -295,14 +302,16 @@ def _launch(wave, active, first, count, paths, first_replicate, turns, lamp, til
     A replicate starts one in each of `paths` equal cells along a Morton curve; all replicates of the group start in a
     cell before the first goes on to the next.
     """
-    origins, directions = wave.origins, wave.directions
+    origins, directions, weights = wave.origins, wave.directions, wave.weights
     path, member = divmod(first, turns.size)
     steady = lamp.beam == 0 and not lamp.average
     dx, dy, dz = _incident(path, 0, 0.0, lamp)
     for i in range(active, active + count):
         replicate = first_replicate + member
-        r0, _, _, _ = philox(path, path >> 32, replicate, 0, lamp.key[0], lamp.key[1])
-        place = uint64((path + _uniform(r0)) / paths * 2.0**52)
+        # The four words of a block serve four replicates.
+        if i == active or member == 0 or replicate % 4 == 0:
+            words = philox(path, path >> 32, replicate // 4, 0, lamp.key[0], lamp.key[1])
+        place = uint64((path + _uniform(words[replicate % 4])) / paths * 2.0**52)
         x = ((_every_second_bit(place) + 0.5) * 2.0**-25 - 1) * tile.half_x
         y = ((_every_second_bit(place >> uint64(1)) + 0.5) * 2.0**-25 - 1) * tile.half_y
         if not steady:
@@ -310,7 +319,8 @@ def _launch(wave, active, first, count, paths, first_replicate, turns, lamp, til
         origins[i, 0], origins[i, 1], origins[i, 2] = x, y, tile.top
         directions[i, 0], directions[i, 1], directions[i, 2] = dx, dy, dz
         wave.reach[i] = _to_edge(x, y, dx, dy, tile.outer_x, tile.outer_y)
-        wave.weights[i, :] = 1.0
+        for w in range(weights.shape[1]):
+            weights[i, w] = 1.0
         wave.paths[i] = path
         wave.members[i] = member
         wave.hits[i] = 0
@@ -501,6 +511,7 @@ def _collect(wave, active, bins, lamp, turns, caught):  # type: ignore[no-untype
     wait for many of them at once.
     """
     directions, fates, arrivals, edges = wave.directions, wave.fates, wave.arrivals, bins.sin2_edges
+    rings = bins.rings
     weights, width = wave.weights, wave.weights.shape[1]
     arrived = 0
     for i in range(active):
@@ -509,19 +520,19 @@ def _collect(wave, active, bins, lamp, turns, caught):  # type: ignore[no-untype
         x, y, z = np.float64(directions[i, 0]), np.float64(directions[i, 1]), np.float64(directions[i, 2])
         offset = bins.turn + _surface_turn(wave.paths[i], turns[wave.members[i]], lamp.average)
         sin2 = (x * x + y * y) / (x * x + y * y + z * z)
-        ring, step = 0, edges.size // 2
-        while step:
-            # Without a branch: it could not be foreseen.
-            ring += step * (sin2 >= edges[ring + step])
-            step //= 2
-        arrivals[arrived, 0], arrivals[arrived, 1] = i, ring * bins.sectors + _sector(x, y, offset, bins.sectors)
-        arrived += 1
-    for j in range(arrived):
-        i, place = arrivals[j, 0], arrivals[j, 1]
+        ring = rings[int(sin2 * RING_STEPS)]
+        while sin2 >= edges[ring]:
+            ring += 1
+        place = ring * bins.sectors + _sector(x, y, offset, bins.sectors)
         order, member = min(wave.hits[i], ORDERS) - 1, wave.members[i]
+        arrivals[arrived, 0], arrivals[arrived, 1] = i, (order * caught.shape[1] + place) * turns.size + member
+        arrived += 1
+    records = caught.reshape(-1, width + 1)
+    for j in range(arrived):
+        row, record = np.uint64(arrivals[j, 0]), np.uint64(arrivals[j, 1])
         for w in range(width):
-            caught[order, place, member, w] += _integer(weights[i, w])
-        caught[order, place, member, width] += 1
+            records[record, w] += _integer(weights[row, w])
+        records[record, width] += 1
 
 
 @kernel
