@@ -20,6 +20,7 @@ from gonio.measurement import Measurement
 from gonio.models import Model, matching
 from gonio.optics import Conductor, Dielectric, Material
 from gonio.scene import Scene
+from gonio.tally import MAX_PATHS
 from microsurfaces import HeightField, Mesh, Surface, VGrooves
 from microsurfaces.recipe import did_you_mean, members, recipe, sentences
 
@@ -71,6 +72,11 @@ class Experiment:
                 self.material.refractive_index(self.goniometer.wavelengths)
             except ValueError as error:
                 raise ValueError(f"goniometer.wavelengths: {error}") from None
+        if self.realisations * self.goniometer.paths > MAX_PATHS:
+            raise ValueError(
+                f"realisations = {self.realisations}: with goniometer.paths = {self.goniometer.paths} these are more "
+                f"than the {MAX_PATHS} paths an incidence that can be summed exactly; lower one of them"
+            )
         for name in self.compare or ():
             try:
                 _model_of(name, {"beckmann_alpha": 1.0}, self.material)
@@ -143,6 +149,8 @@ class Experiment:
                 if merged is None:
                     raise
                 return self._described(merged, interrupted=True)
+            except ValueError as error:
+                raise error if isinstance(error, InputError) else InputError(f"goniometer.{error}") from None
             merged = part if merged is None else merged.merge(part)
             if part.interrupted:
                 break

@@ -194,7 +194,7 @@ class _Job:
 
     def _run(self, tally: Tally, setting: tuple[Lamp, Matter, Detector, float], replicates: range) -> None:
         """Trace replicates on all threads; every thread takes the next group when it has finished one."""
-        expected = self.finished + tally.paths * replicates.stop + (self.incidences - 1) * self.goniometer.paths
+        expected = self.finished + tally.paths * replicates.stop + (self.incidences - 1) * tally.paths * tally.pilot
         share = math.ceil(len(replicates) / self.threads)
         group = max(1, min(share, GROUP_BYTES // tally.total.nbytes))
         queue = (replicates[first : first + group] for first in range(0, len(replicates), group))

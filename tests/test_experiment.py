@@ -324,3 +324,17 @@ def test_models_for_a_measurement_have_its_roughness_and_material(toy: Path) -> 
     with pytest.raises(InputError) as caught:
         models_for(measurement, ["Wardd", "Lambert"])
     assert [sentence.split(":")[0] for sentence in caught.value.sentences] == ["Wardd", "Lambert"]
+
+
+def test_more_paths_than_can_be_summed_are_refused_before_they_are_measured(toy: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"^realisations = 30: with goniometer\.paths = 100000000 .* lower one of them"
+    ):
+        Experiment.read(toy, ["realisations=30", "goniometer.paths=100_000_000"])
+
+
+def test_a_target_out_of_reach_is_a_sentence(toy: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"^goniometer\.target_error = 1e-07 needs .* ask for less, or for wider bins$"
+    ):
+        Experiment.read(toy, ["goniometer.target_error=1e-7"]).run()
