@@ -335,12 +335,16 @@ def _energy_table(measurement: Measurement) -> Table:
     """Orders of scattering and the ledger, means over the wavelengths."""
     albedo, ledger = measurement.dataset["albedo"].mean("wavelength"), measurement.ledger().mean("wavelength")
     table = _incidence_table()
-    for heading in ("1 hit", "2 hits", "3 or more", "absorbed", "lost or truncated"):
+    orders = albedo["order"].values[1:]
+    for order in orders:
+        hits = f"{order[:-1]} or more" if order.endswith("+") else f"{order} hit{'s' * (order != '1')}"
+        table.add_column(hits, justify="right")
+    for heading in ("absorbed", "lost or truncated"):
         table.add_column(heading, justify="right")
     for theta, phi in measurement.incidences():
-        orders, fate = albedo.sel(theta_i=theta, phi_i=phi), ledger.sel(theta_i=theta, phi_i=phi)
-        total = float(orders.sel(order="all")) or 1.0
-        shares = [float(orders.sel(order=order)) / total for order in ("1", "2", "3+")]
+        here, fate = albedo.sel(theta_i=theta, phi_i=phi), ledger.sel(theta_i=theta, phi_i=phi)
+        total = float(here.sel(order="all")) or 1.0
+        shares = [float(here.sel(order=order)) / total for order in orders]
         missing = float(fate["lost"] + fate["truncated"])
         table.add_row(
             _incidence(theta, phi),

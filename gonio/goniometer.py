@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, model_validator
 
 from gonio.detectors import Detector, HemisphereGrid
-from gonio.measurement import FATES, ORDERS, Measurement
+from gonio.measurement import FATES, Measurement, orders
 from gonio.scene import Scene
 from gonio.tally import MAX_PATHS, UNIT, Tally, Wide
 from gonio.transport import ABSORBED, LOST, TRUNCATED, Catch, Lamp, Matter, matter, trace
@@ -63,6 +63,8 @@ class Goniometer:
     """Half the angle that the lamp subtends at the sample, degrees; 0 is a collimated beam."""
     replicates: Annotated[int, Field(ge=2, le=1024)] = 16
     """Independent replicates that the error bars come from."""
+    orders: Annotated[int, Field(ge=2, le=1000)] = 3
+    """Numbers of surface hits that are kept apart: 1, 2, and so on; the last holds all beyond as well."""
 
     @model_validator(mode="after")
     def _directions_make_sense(self) -> Goniometer:
@@ -177,7 +179,7 @@ class _Job:
         beam = math.sin(math.radians(g.beam_half_angle)) ** 2
         lamp = Lamp(math.radians(theta), math.radians(phi), beam, g.azimuth == "average", _key(self.seed, theta, phi))
         setting = (lamp, matter(self.scene.material, wavelengths), g.detector, phi)
-        shape = (len(ORDERS), g.detector.bins + 1, len(wavelengths))
+        shape = (g.orders + 1, g.detector.bins + 1, len(wavelengths))
         tally = Tally.empty(g.replicates, math.ceil(g.paths / g.replicates), shape)
         self._run(tally, setting, range(replicates or g.replicates))
         if replicates is None and g.target_error is not None:
@@ -216,11 +218,11 @@ class _Job:
                 raise
 
     def _group(self, tally: Tally, setting: tuple[Lamp, Matter, Detector, float], replicates: range) -> None:
-        _, bins, width = tally.total.shape
+        labels, bins, width = tally.total.shape
         with self.lock:
-            catch = self.spare.pop() if self.spare else Catch.empty(len(replicates), bins, width)
-        if len(replicates) != len(catch.ledger):
-            catch = Catch.empty(len(replicates), bins, width)
+            catch = self.spare.pop() if self.spare else None
+        if catch is None or len(replicates) != len(catch.ledger):
+            catch = Catch.empty(len(replicates), labels - 1, bins, width)
         if trace(self.scene, *setting, replicates, tally.paths, catch, self._advanced):
             tally.add(replicates, catch.bins, catch.ledger)
         with self.lock:
@@ -244,15 +246,15 @@ def _empty_sums(goniometer: Goniometer) -> Any:
     import xarray as xr
 
     incidence = (len(goniometer.theta_i), len(goniometer.phi_i))
-    bins, width = goniometer.detector.bins + 1, len(goniometer.wavelengths)
+    labels, bins, width = goniometer.orders + 1, goniometer.detector.bins + 1, len(goniometer.wavelengths)
     full = ("theta_i", "phi_i", "order", "bin", "wavelength")
     shapes: dict[str, tuple[tuple[str, ...], tuple[int, ...], type]] = {
-        "weight": (full, (len(ORDERS), bins, width), np.int64),
-        "hits": (full[:-1], (len(ORDERS), bins), np.int64),
+        "weight": (full, (labels, bins, width), np.int64),
+        "hits": (full[:-1], (labels, bins), np.int64),
         "ledger": (("theta_i", "phi_i", "fate", "wavelength"), (len(FATES), width), np.int64),
         **dict.fromkeys(("paths", "replicates", "realisations"), (full[:2], (), np.int64)),
         **{
-            f"{name}_{half}": (full, (len(ORDERS), bins, width), np.uint64)
+            f"{name}_{half}": (full, (labels, bins, width), np.uint64)
             for name in ("mc_scatter", "realisation_squares")
             for half in ("high", "low")
         },
@@ -262,7 +264,7 @@ def _empty_sums(goniometer: Goniometer) -> Any:
         coords={
             "theta_i": np.array(goniometer.theta_i, np.float64),
             "phi_i": np.array(goniometer.phi_i, np.float64),
-            "order": list(ORDERS),
+            "order": list(orders(goniometer.orders)),
             "fate": list(FATES),
             "wavelength": np.array(goniometer.wavelengths, np.float64),
         },
@@ -299,7 +301,7 @@ def _version(package: str) -> str:
 
 def _refuse_what_cannot_fit(goniometer: Goniometer, threads: int) -> None:
     """Raise MemoryError if the sums and the labelled result need more than the machine has."""
-    entries = len(ORDERS) * (goniometer.detector.bins + 1) * len(goniometer.wavelengths)
+    entries = (goniometer.orders + 1) * (goniometer.detector.bins + 1) * len(goniometer.wavelengths)
     incidences = len(goniometer.theta_i) * len(goniometer.phi_i)
     need = 8 * entries * (incidences * 12 + 6 + 2 * threads) + threads * GROUP_BYTES
     have = _memory()

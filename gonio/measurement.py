@@ -29,8 +29,10 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-ORDERS = ("all", "1", "2", "3+")
-"""Numbers of surface hits; "all" is their sum."""
+def orders(count: int) -> tuple[str, ...]:
+    """Labels of `count` numbers of surface hits kept apart, after their sum: ("all", "1", "2", "3+") for three."""
+    return ("all", *map(str, range(1, count)), f"{count}+" if count > 1 else "1+")
+
 
 FATES = ("launched", "escaped", "absorbed", "truncated", "lost")
 """Where the light went: launched = escaped + absorbed + truncated + lost."""
@@ -279,7 +281,7 @@ def _labelled(sums: xr.Dataset, detector: Detector, attributes: dict[str, Any]) 
     count, pilot = sums["realisations"].values, int(sums.attrs["pilot"])
     variables["degrees_of_freedom_mc"] = (incidence, count * (pilot - 1))
     variables["degrees_of_freedom"] = (incidence, np.where(count > 1, count - 1, pilot - 1))
-    coords = {"order": list(ORDERS), **{d: sums[d].values for d in (*incidence, "wavelength")}}
+    coords = {d: sums[d].values for d in ("order", *incidence, "wavelength")}
     where, bounds = _bins(detector)
     return _described(xr.Dataset({**variables, **bounds}, {**coords, **where}, attributes))
 

@@ -449,7 +449,8 @@ DECADES = 4
 """A slice shows at most so many decades."""
 CURVES = 5
 """At most so many wavelengths share a panel."""
-STYLES: dict[str, Any] = {"all": "-", "1": (0, (5, 2)), "2": (0, (1.2, 1.4)), "3+": (0, (6, 2, 1.2, 2))}
+STYLES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.2, 1.4)), (0, (6, 2, 1.2, 2)))
+"""Lines of all orders together and of the first few numbers of hits."""
 MARKERS = "osD^vP"
 
 
@@ -549,7 +550,7 @@ def _apertures_in_plane(incidence: _Incidence, detector: Detector) -> Iterator[t
 
 
 def _curves(panel: Axes, incidence: _Incidence, cut: _Cut, wavelengths: Sequence[float]) -> None:
-    for order, style in STYLES.items():
+    for order, style in _styled(incidence.data).items():
         whole, enough = order == "all", cut.enough(incidence.data, order)
         for nm in wavelengths:
             value, error = cut.read(incidence.data, order, nm)
@@ -616,7 +617,7 @@ def _value_limits(incidences: Sequence[_Incidence], cuts: Sequence[_Cut]) -> tup
     """From half the smallest value with enough hits, but `DECADES` down at most, to twice the largest."""
     shown = []
     for incidence, cut in zip(incidences, cuts, strict=True):
-        for order in STYLES:
+        for order in _styled(incidence.data):
             brdf = incidence.data["brdf"].sel(order=order).values
             values = cut.weights @ brdf.reshape(-1, brdf.shape[-1])
             shown.append(values[cut.enough(incidence.data, order)].ravel())
@@ -626,14 +627,25 @@ def _value_limits(incidences: Sequence[_Incidence], cuts: Sequence[_Cut]) -> tup
     return min(max(float(positive.min(initial=high)) / 2, high / 10**DECADES), high / 10), high
 
 
+def _styled(data: xr.Dataset) -> dict[str, Any]:
+    """The orders that are drawn, with their lines."""
+    return dict(zip(map(str, data["order"].values), STYLES, strict=False))
+
+
+def _hits(order: str) -> str:
+    """An order of scattering in words."""
+    words = {"all": "all orders", "1": "1 hit"}
+    return words.get(order, f"{order[:-1]} and more hits" if order.endswith("+") else f"{order} hits")
+
+
 def _slice_legend(measurement: Measurement, wavelengths: Sequence[float], models: Sequence[Model]) -> list[Artist]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     handles: list[Artist] = [Line2D([], [], color=_hue(nm), lw=2.5, label=f"{nm:g} nm") for nm in wavelengths]
     if _has_hemisphere(measurement):
-        names = {"all": "all orders", "1": "1 hit", "2": "2 hits", "3+": "3 and more hits"}
-        handles += [Line2D([], [], color=INK, ls=style, lw=1.3, label=names[key]) for key, style in STYLES.items()]
+        styles = _styled(measurement.dataset).items()
+        handles += [Line2D([], [], color=INK, ls=style, lw=1.3, label=_hits(order)) for order, style in styles]
     handles.append(Patch(color=INK, alpha=0.25, lw=0, label="± 2 standard errors"))
     point: dict[str, Any] = {"color": INK, "mfc": "white", "ls": "none", "ms": 5}
     for model, marker in zip(models, MARKERS, strict=False):

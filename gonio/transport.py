@@ -40,9 +40,6 @@ a rounding error: it goes on. Anywhere else it has come from under the surface a
 RING_STEPS = 4096
 """Steps of sin² that the ring of a direction is looked up by."""
 
-ORDERS = 3
-"""One hit, two hits, three and more."""
-
 ABSORBED, TRUNCATED, LOST = 0, 1, 2
 """Rows of the ledger: where light goes that does not escape."""
 
@@ -125,10 +122,10 @@ class Catch(NamedTuple):
     """Absorbed, truncated, lost, (replicates, 3, wavelengths)."""
 
     @classmethod
-    def empty(cls, replicates: int, bins: int, wavelengths: int) -> Catch:
+    def empty(cls, replicates: int, orders: int, bins: int, wavelengths: int) -> Catch:
         """Nothing yet."""
         return cls(
-            np.zeros((ORDERS, bins, replicates, wavelengths + 1), np.int64),
+            np.zeros((orders, bins, replicates, wavelengths + 1), np.int64),
             np.zeros((replicates, 3, wavelengths), np.int64),
         )
 
@@ -524,7 +521,7 @@ def _collect(wave, active, bins, lamp, turns, caught):  # type: ignore[no-untype
         while sin2 >= edges[ring]:
             ring += 1
         place = ring * bins.sectors + _sector(x, y, offset, bins.sectors)
-        order, member = min(wave.hits[i], ORDERS) - 1, wave.members[i]
+        order, member = min(wave.hits[i], caught.shape[0]) - 1, wave.members[i]
         arrivals[arrived, 0], arrivals[arrived, 1] = i, (order * caught.shape[1] + place) * turns.size + member
         arrived += 1
     records = caught.reshape(-1, width + 1)
@@ -548,7 +545,7 @@ def _sight(wave, active, bins, lamp, turns, caught):  # type: ignore[no-untyped-
         if wave.fates[i] != _ESCAPED:
             continue
         x, y, z = _unit(np.float64(directions[i, 0]), np.float64(directions[i, 1]), np.float64(directions[i, 2]))
-        order, member = min(wave.hits[i], ORDERS) - 1, wave.members[i]
+        order, member = min(wave.hits[i], caught.shape[0]) - 1, wave.members[i]
         angle = 2 * math.pi * _surface_turn(wave.paths[i], turns[member], lamp.average)
         c, s = math.cos(angle), math.sin(angle)
         x, y = c * x + s * y, c * y - s * x

@@ -172,3 +172,18 @@ def test_impossible_settings_are_refused(arguments, sentence):
 def test_impossible_detectors_are_refused(detector, arguments, sentence):
     with pytest.raises(ValidationError, match=sentence):
         detector(**arguments)
+
+
+def test_orders_can_be_kept_apart_one_by_one():
+    """Half cylinders lit from above: shares of 1, 2, 3 and 4 hits of the closed form, and their sum is unchanged."""
+    scene = Scene(ms.Cylinders(profile="grooves", radius=1.0, distance=2.0, chords=1000).build(0), optics.Mirror())
+    few, many = (
+        Goniometer(paths=200_000, wavelengths=(550,), orders=orders, detector=HemisphereGrid(10, 15)).measure(scene)
+        for orders in (2, 5)
+    )
+    assert list(few.dataset["order"].values) == ["all", "1", "2+"]
+    assert list(many.dataset["order"].values) == ["all", "1", "2", "3", "4", "5+"]
+    albedo = many.dataset["albedo"].values[:, 0, 0, 0]
+    np.testing.assert_allclose(albedo[1:5], (0.5, 0.30902, 0.09195, 0.03872), atol=5e-4)
+    for label, parts in (("1", ["1"]), ("2+", ["2", "3", "4", "5+"])):
+        assert (few.sums["weight"].sel(order=label) == many.sums["weight"].sel(order=parts).sum("order")).all()
