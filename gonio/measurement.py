@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+
 def orders(count: int) -> tuple[str, ...]:
     """Labels of `count` numbers of surface hits kept apart, after their sum: ("all", "1", "2", "3+") for three."""
     return ("all", *map(str, range(1, count)), f"{count}+" if count > 1 else "1+")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import importlib.resources
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
+from gonio.randomness import kernel
 from microsurfaces.recipe import Fraction, NonNegative, Positive, recipe
 
 Array = NDArray[np.float64]
@@ -84,6 +86,21 @@ def fresnel_conductor(cos_i: ArrayLike, eta: ArrayLike, k: ArrayLike) -> tuple[A
     across, along = c2 + modulus, c2 * modulus + s2 * s2
     r_s = _ratio(across - 2.0 * a * c, across + 2.0 * a * c)
     return r_s, r_s * _ratio(along - 2.0 * a * c * s2, along + 2.0 * a * c * s2)
+
+
+@kernel
+def fresnel(cosine, eta, k):  # type: ignore[no-untyped-def]
+    """Unpolarised reflectance of an interface of index eta + ik, total reflection included.
+
+    `fresnel_conductor` with R_s (1 + R_p / R_s) / 2 drawn together, so that one division is left.
+    """
+    cos2 = cosine * cosine
+    sin2 = 1.0 - cos2
+    t0 = eta * eta - k * k - sin2
+    modulus = math.sqrt(t0 * t0 + 4.0 * eta * eta * k * k)
+    twice = 2.0 * math.sqrt(max(0.0, 0.5 * (modulus + t0))) * cosine
+    p = cos2 * modulus + sin2 * sin2
+    return (modulus + cos2 - twice) * p / ((modulus + cos2 + twice) * (p + twice * sin2))
 
 
 def _refracted(c: Array, eta: Array) -> Array:

@@ -13,11 +13,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, uint64
+from numba import uint64
 from numpy.typing import NDArray
 
 from gonio.detectors import Apertures, Detector, HemisphereGrid
-from gonio.optics import Lambertian, Material, Mirror
+from gonio.optics import Lambertian, Material, Mirror, fresnel
+from gonio.randomness import WORD, kernel, philox, uniform
 from gonio.scene import Scene
 from gonio.tally import UNIT
 
@@ -46,10 +47,6 @@ ABSORBED, TRUNCATED, LOST = 0, 1, 2
 _MIRROR, _FRESNEL, _LAMBERTIAN = 0, 1, 2
 _IN_FLIGHT, _ESCAPED = -2, -1
 _GOLDEN = (math.sqrt(5) - 1) / 2
-_WORD = uint64(0xFFFFFFFF)
-
-# Helpers take and return plain numbers: handing arrays or tuples of them on would count references at every call.
-kernel = njit(cache=True, nogil=True, error_model="numpy")
 
 
 class Lamp(NamedTuple):
@@ -225,29 +222,6 @@ def _balance(catch: Catch, paths: int) -> None:
 
 
 @kernel
-def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
-    """Philox4x32-10 (Salmon et al. 2011, doi:10.1145/2063384.2063405): four 32-bit words, as uint64."""
-    c0, c1, c2, c3 = uint64(c0) & _WORD, uint64(c1) & _WORD, uint64(c2) & _WORD, uint64(c3) & _WORD
-    k0, k1 = uint64(k0) & _WORD, uint64(k1) & _WORD
-    for _ in range(10):
-        p0 = uint64(0xD2511F53) * c0
-        p1 = uint64(0xCD9E8D57) * c2
-        c0 = (p1 >> uint64(32)) ^ c1 ^ k0
-        c1 = p1 & _WORD
-        c2 = (p0 >> uint64(32)) ^ c3 ^ k1
-        c3 = p0 & _WORD
-        k0 = (k0 + uint64(0x9E3779B9)) & _WORD
-        k1 = (k1 + uint64(0xBB67AE85)) & _WORD
-    return c0, c1, c2, c3
-
-
-@kernel
-def _uniform(word):  # type: ignore[no-untyped-def]
-    """A 32-bit word as a number inside (0, 1)."""
-    return (np.float64(word) + 0.5) * 2.0**-32
-
-
-@kernel
 def _every_second_bit(x):  # type: ignore[no-untyped-def]
     """The even bits of a 64-bit word, closed up."""
     x &= uint64(0x5555555555555555)
@@ -255,13 +229,13 @@ def _every_second_bit(x):  # type: ignore[no-untyped-def]
     x = (x | (x >> uint64(2))) & uint64(0x0F0F0F0F0F0F0F0F)
     x = (x | (x >> uint64(4))) & uint64(0x00FF00FF00FF00FF)
     x = (x | (x >> uint64(8))) & uint64(0x0000FFFF0000FFFF)
-    return (x | (x >> uint64(16))) & _WORD
+    return (x | (x >> uint64(16))) & WORD
 
 
 @kernel
 def _replicate_turn(replicate, key):  # type: ignore[no-untyped-def]
     """Where a replicate's sequence of surface angles starts, in turns."""
-    return _uniform(philox(0, 0, replicate, 0xFFFFFFFF, key[0], key[1])[0])
+    return uniform(philox(0, 0, replicate, 0xFFFFFFFF, key[0], key[1])[0])
 
 
 @kernel
@@ -277,12 +251,12 @@ def _incident(path, replicate, turn, lamp):  # type: ignore[no-untyped-def]
     sine, cosine, phi = math.sin(lamp.theta), math.cos(lamp.theta), lamp.phi
     if lamp.beam > 0:
         r0, r1, r2, _ = philox(path, path >> 32, replicate, 0xFFFFFFFE, lamp.key[0], lamp.key[1])
-        sin_delta = math.sqrt(lamp.beam * _uniform(r0))
+        sin_delta = math.sqrt(lamp.beam * uniform(r0))
         cos_delta = math.sqrt(1 - sin_delta * sin_delta)
         # Around the cone the density is 1 + a cosψ: a uniform ψ is turned over with the right probability.
-        psi = 2 * math.pi * _uniform(r1)
+        psi = 2 * math.pi * uniform(r1)
         a = -sin_delta / cos_delta * sine / cosine
-        if 2 * _uniform(r2) > 1 + a * math.cos(psi):
+        if 2 * uniform(r2) > 1 + a * math.cos(psi):
             psi += math.pi
         down, across = sin_delta * math.cos(psi), sin_delta * math.sin(psi)
         x = cos_delta * sine + down * cosine
@@ -308,7 +282,7 @@ def _launch(wave, active, first, count, paths, first_replicate, turns, lamp, til
         # The four words of a block serve four replicates.
         if i == active or member == 0 or replicate % 4 == 0:
             words = philox(path, path >> 32, replicate // 4, 0, lamp.key[0], lamp.key[1])
-        place = uint64((path + _uniform(words[replicate % 4])) / paths * 2.0**52)
+        place = uint64((path + uniform(words[replicate % 4])) / paths * 2.0**52)
         x = ((_every_second_bit(place) + 0.5) * 2.0**-25 - 1) * tile.half_x
         y = ((_every_second_bit(place >> uint64(1)) + 0.5) * 2.0**-25 - 1) * tile.half_y
         if not steady:
@@ -339,21 +313,6 @@ def _to_edge(x, y, dx, dy, half_x, half_y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def fresnel(cosine, eta, k):  # type: ignore[no-untyped-def]
-    """Unpolarised reflectance of an interface of index eta + ik, total reflection included.
-
-    `optics.fresnel_conductor` with R_s (1 + R_p / R_s) / 2 drawn together, so that one division is left.
-    """
-    cos2 = cosine * cosine
-    sin2 = 1.0 - cos2
-    t0 = eta * eta - k * k - sin2
-    modulus = math.sqrt(t0 * t0 + 4.0 * eta * eta * k * k)
-    twice = 2.0 * math.sqrt(max(0.0, 0.5 * (modulus + t0))) * cosine
-    p = cos2 * modulus + sin2 * sin2
-    return (modulus + cos2 - twice) * p / ((modulus + cos2 + twice) * (p + twice * sin2))
-
-
-@kernel
 def _unit(x, y, z):  # type: ignore[no-untyped-def]
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
@@ -379,7 +338,7 @@ def _serves(sx, sy, sz, dx, dy, dz, nx, ny, nz):  # type: ignore[no-untyped-def]
 @kernel
 def _cosine_direction(r0, r1, nx, ny, nz):  # type: ignore[no-untyped-def]
     """A direction about the normal with density cosθ/π."""
-    radius, angle = math.sqrt(_uniform(r0)), 2 * math.pi * _uniform(r1)
+    radius, angle = math.sqrt(uniform(r0)), 2 * math.pi * uniform(r1)
     a, b = radius * math.cos(angle), radius * math.sin(angle)
     c = math.sqrt(max(0.0, 1 - radius * radius))
     # Frame of Duff et al. 2017 (JCGT 6(1)): no branch but the sign.

@@ -24,6 +24,7 @@ LEVELS = [
     {"gonio.scene", "gonio.models", "gonio.measurement"},
     {"gonio.detectors", "gonio.colour"},
     {"gonio.optics", "gonio.sphere", "gonio.tally"},
+    {"gonio.randomness"},
     {"microsurfaces"},
     {"microsurfaces.processes"},
     {"microsurfaces.random_fields", "microsurfaces.profiles", "microsurfaces.textures", "microsurfaces.files"},

@@ -6,16 +6,35 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from example_models import MODELS, smith
 from pydantic import TypeAdapter, ValidationError
 
 from gonio.detectors import Apertures, HemisphereGrid
-from gonio.models import Beckmann, CookTorrance, Lambert, Microfacet, Model, SmithCorrelated, matching
+from gonio.models import (
+    GGX,
+    Beckmann,
+    CookTorrance,
+    Lambert,
+    Microfacet,
+    Mixture,
+    Model,
+    SmithCorrelated,
+    SmithSeparable,
+    Unmasked,
+    VCavity,
+    matching,
+)
 from gonio.models.averages import TOLERANCE
-from gonio.models.masking import v_cavity
+from gonio.models.cook_torrance import NORMALISATIONS
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
-from gonio.sphere import direction, half_vector
+from gonio.sphere import direction, half_vector, rotate_z
+from microsurfaces import Gaussian
+from microsurfaces.recipe import members
 
 DATA = Path(__file__).parent / "data"
+
+SINGULAR: set[str] = set()
+"""Models that are tested elsewhere: they may be no functions, or random."""
 MATERIALS = {
     "F=1": Mirror(),
     "n=1.5": Dielectric(eta=1.5),
@@ -24,18 +43,8 @@ MATERIALS = {
 }
 
 
-def smith(alpha, material=Mirror()):  # noqa: B008 - a frozen recipe
-    return Microfacet(distribution=Beckmann(alpha), masking=SmithCorrelated(), material=material)
-
-
-ROUGHNESSES = (0.05, 0.3, 0.6, 1.0)
-MODELS = [
-    Lambert(0.5),
-    *(CookTorrance(m=m, material=Mirror()) for m in ROUGHNESSES),
-    *(smith(alpha) for alpha in ROUGHNESSES),
-    CookTorrance(m=0.3, material=Conductor("Au"), k_d=0.2, k_s=0.8, reflectance=0.5),
-    smith(0.3, Dielectric("N-BK7")),
-]
+def micro(distribution, masking, material=Mirror()):  # noqa: B008 - a frozen recipe
+    return Microfacet(distribution=distribution, masking=masking, material=material)
 
 
 def pairs(count, seed=1):
@@ -60,12 +69,54 @@ def test_reference_table(row):
     ours = {
         "F": material.reflectance(wi @ wh, 550.0)[0],
         "D_Walter": Beckmann(m).density(wh),
-        "G_Vcav": v_cavity(wi, wo, wh),
+        "G_Vcav": VCavity().g2(None, wi, wo, wh),
         "f CT (V-cavity = slides, 1/pi)": CookTorrance(m=m, material=material).eval(wi, wo)[0],
+        "f Smith sep.": micro(Beckmann(m), SmithSeparable(), material).eval(wi, wo)[0],
         "f Smith corr.": smith(m, material).eval(wi, wo)[0],
+        "f GGX Smith corr. (alpha=m)": micro(GGX(m), SmithCorrelated(), material).eval(wi, wo)[0],
     }
     for name, value in ours.items():
         assert value == pytest.approx(float(row[name]), rel=1e-12), name
+
+
+EXTRA = {
+    "Beckmann m_x=0.15 m_y=0.45, F=1": Beckmann(alpha_x=0.15, alpha_y=0.45),
+    "GGX a_x=0.15 a_y=0.45, F=1": GGX(alpha_x=0.15, alpha_y=0.45),
+    "0.4*m(0.15)+0.6*m(0.5), F=1": Mixture(components=((0.4, Beckmann(0.15)), (0.6, Beckmann(0.5)))),
+}
+
+
+@pytest.mark.parametrize("row", list(csv.DictReader((DATA / "table_ct_extra.csv").read_text().splitlines())))
+def test_reference_table_of_anisotropy_and_scales(row):
+    wi, wo = direction(float(row["th_l"]), float(row["ph_l"])), direction(float(row["th_v"]), float(row["ph_v"]))
+    distribution = EXTRA[row["model"]]
+    for masking, name in ((VCavity(), "f V-cavity"), (SmithCorrelated(), "f Smith corr.")):
+        assert micro(distribution, masking).eval(wi, wo)[0] == pytest.approx(float(row[name]), rel=1e-12)
+    parameters = {"Bec": {"m_x": 0.15, "m_y": 0.45}, "0.4": {"scales": ((0.15, 0.4), (0.5, 0.6))}}.get(row["model"][:3])
+    if parameters:
+        turned = CookTorrance(material=Mirror(), rotation=33.0, **parameters).eval(*rotate_z((wi, wo), 33.0))
+        assert turned[0] == pytest.approx(float(row["f V-cavity"]), rel=1e-11)
+
+
+@pytest.mark.parametrize(("name", "factor"), [
+    ("microsurface", 1), ("textbook", 1), ("half", 1 / 2), ("printed_1982", 4), ("pi_for_four", 4 / np.pi),
+    ("four_for_pi", np.pi),
+])  # fmt: skip
+def test_normalisations_in_circulation(name, factor):
+    """Prefactor and distribution as reference B.1 lists them, E = exp(-tan^2 / m^2) / cos^4."""
+    prefactor, denominator = {
+        "microsurface": (1 / 4, np.pi), "textbook": (1 / np.pi, 4), "half": (1 / (2 * np.pi), 4),
+        "printed_1982": (1 / np.pi, 1), "pi_for_four": (1 / np.pi, np.pi), "four_for_pi": (1 / 4, 1),
+    }[name]  # fmt: skip
+    wi, wo = direction([20.0, 60.0], 10.0), direction([40.0, 70.0], 150.0)
+    wh, m = half_vector(wi, wo), 0.4
+    lobe = np.exp(-(1 / wh[:, 2] ** 2 - 1) / m**2) / wh[:, 2] ** 4 / (denominator * m**2)
+    expected = prefactor * lobe * VCavity().g2(None, wi, wo, wh) / (wi[:, 2] * wo[:, 2])
+    model = CookTorrance(m=m, material=Mirror(), normalisation=name)
+    np.testing.assert_allclose(model.eval(wi, wo)[:, 0], expected, rtol=1e-11)
+    assert factor == pytest.approx(NORMALISATIONS[name], rel=1e-15)
+    energy = albedo(model, 30.0)[0] / albedo(CookTorrance(m=m, material=Mirror()), 30.0)[0]
+    assert energy == pytest.approx(factor, rel=1e-9)
 
 
 @pytest.mark.parametrize("m", [1e-3, 0.05, 0.3, 1.0, 5.0])
@@ -80,7 +131,12 @@ def test_the_normalisation_is_that_of_the_textbooks_with_1_over_pi_and_4_m2():
     wi, wo = pairs(200)
     wh, m = half_vector(wi, wo), 0.4
     tan2 = (wh[:, 0] ** 2 + wh[:, 1] ** 2) / wh[:, 2] ** 2
-    textbook = np.exp(-tan2 / m**2) / (4 * m**2 * wh[:, 2] ** 4) * v_cavity(wi, wo, wh) / (np.pi * wi[:, 2] * wo[:, 2])
+    textbook = (
+        np.exp(-tan2 / m**2)
+        / (4 * m**2 * wh[:, 2] ** 4)
+        * VCavity().g2(None, wi, wo, wh)
+        / (np.pi * wi[:, 2] * wo[:, 2])
+    )
     ours = CookTorrance(m=m, material=Mirror()).eval(wi, wo)[:, 0]
     np.testing.assert_allclose(ours, textbook, rtol=1e-9, atol=1e-290)
 
@@ -132,6 +188,10 @@ def test_no_model_creates_energy(model, theta_i):
     assert albedo(model, theta_i, wavelengths=(450.0, 650.0)).max() <= 1.0 + TOLERANCE
 
 
+def test_every_model_has_an_example():
+    assert {type(model).__name__ for model in MODELS} == set(members(Model)) - SINGULAR
+
+
 @pytest.mark.parametrize("model", MODELS, ids=repr)
 def test_models_are_recipes(model):
     adapter = TypeAdapter(Model)
@@ -163,6 +223,66 @@ def test_weak_white_furnace(alpha, theta):
     g1 = 1.0 / (1.0 + Beckmann(alpha).smith_lambda(wo))
     # The edge where facets turn away from the eye limits the quadrature.
     assert (g1 * seen).sum() == pytest.approx(wo[2], rel=3e-4, abs=2e-5)
+
+
+SHAPES = [
+    GGX(0.4),
+    GGX(alpha_x=0.15, alpha_y=0.6, rotation=25.0),
+    Beckmann(alpha_x=0.15, alpha_y=0.6, rotation=-40.0),
+    Mixture(components=((0.3, Beckmann(0.1)), (0.7, GGX(0.5)))),
+]
+
+
+def fine_hemisphere(rings=3000, sectors=128):
+    """Directions and their dw, finer towards the pole."""
+    u, weight = np.polynomial.legendre.leggauss(rings)
+    u, weight = (u + 1) / 2, weight / 2
+    theta = np.pi / 2 * u**2
+    phi = (np.arange(sectors) + 0.5) * 2 * np.pi / sectors
+    solid = np.sin(theta) * np.pi * u * weight * 2 * np.pi / sectors
+    return direction(np.degrees(theta)[:, None], np.degrees(phi)), solid[:, None]
+
+
+@pytest.mark.parametrize("distribution", SHAPES, ids=repr)
+def test_facets_cover_the_plane_and_fill_the_picture(distribution):
+    """The integral of D cos is 1, and that of G1 <V, m> D is the cosine: Smith's masking of any distribution."""
+    wm, solid = fine_hemisphere()
+    facets = distribution.density(wm) * solid
+    assert (facets * wm[..., 2]).sum() == pytest.approx(1.0, rel=1e-6)
+    for theta in (10.0, 60.0, 80.0):
+        wo = direction(theta, 50.0)
+        seen = (np.maximum(wm @ wo, 0.0) * facets).sum()
+        assert seen / (1.0 + distribution.smith_lambda(wo)) == pytest.approx(wo[2], rel=2e-4)
+
+
+@pytest.mark.parametrize("distribution", [Beckmann(0.5), GGX(0.5)], ids=repr)
+@pytest.mark.parametrize("theta", [20.0, 60.0, 85.0])
+def test_smith_lambda_is_the_slopes_beyond_the_line_of_sight(distribution, theta):
+    """Lambda = integral of (q / mu - 1) P2(q) over slopes q above mu = cot theta (reference B.3)."""
+    from scipy.integrate import quad
+
+    a = 0.5
+    gaussian = isinstance(distribution, Beckmann)
+
+    def slopes(q):  # the density of the slope along one axis
+        return np.exp(-((q / a) ** 2)) / (a * np.sqrt(np.pi)) if gaussian else a**2 / (2 * (a**2 + q**2) ** 1.5)
+
+    mu = 1 / np.tan(np.radians(theta))
+    expected = quad(lambda q: (q - mu) / mu * slopes(q), mu, np.inf, epsabs=1e-13, epsrel=1e-11)[0]
+    assert distribution.smith_lambda(direction(theta)) == pytest.approx(expected, rel=1e-7)
+
+
+def test_unmasked_facets_create_energy():
+    """With G = 1 every facet that faces the lamp reflects all of its light, whatever stands before it."""
+    free = micro(Beckmann(0.3), Unmasked())
+    wm, solid = fine_hemisphere()
+    for theta in (0.0, 80.0):
+        wi = direction(theta)
+        wo = 2 * (wm @ wi)[..., None] * wm - wi
+        up = (wo[..., 2] > 0) & (wm @ wi > 0)
+        expected = (np.where(up, wm @ wi * Beckmann(0.3).density(wm) / wi[2], 0.0) * solid).sum()
+        assert albedo(free, theta)[0] == pytest.approx(expected, rel=1e-4)
+    assert albedo(free, 80.0)[0] > 1.09
 
 
 @pytest.mark.parametrize("alpha", [1e-3, 0.3, 5.0])
@@ -313,6 +433,11 @@ def test_a_lobe_too_narrow_for_its_bin_is_told():
             r"k_d \+ k_s = 0.6 \+ 0.6 must not exceed 1",
         ),
         (lambda: CookTorrance(m=0.1, material=Lambertian(0.5)), "material"),
+        (lambda: CookTorrance(m_x=0.1, material=Mirror()), "m_x and m_y together"),
+        (lambda: CookTorrance(m=0.1, scales=((0.1, 1.0),), material=Mirror()), "m and scales was given"),
+        (lambda: CookTorrance(scales=((0.1, 0.5), (0.2, 0.4)), material=Mirror()), "sum to 0.9"),
+        (lambda: Mixture(components=((0.5, Beckmann(0.1)),)), "sum to 0.5"),
+        (lambda: GGX(alpha_x=0.1), "alpha_x and alpha_y together"),
         (lambda: Beckmann(alpha=0.0), "greater than 0"),
         (lambda: Beckmann(alpha=float("nan")), "finite"),
     ],
@@ -330,8 +455,19 @@ def test_the_model_of_a_specimen():
     assert matching(statistics, gold) == (CookTorrance(m=0.25, material=gold), smith(0.25, gold))
     assert matching(statistics, Lambertian(0.3)) == (Lambert(0.3),)
     assert matching({"beckmann_alpha": 0.0}, gold) == ()
+    assert CookTorrance.of({**statistics, "beckmann_alpha_x": 0.2, "beckmann_alpha_y": 0.3}, gold).m_y == 0.3
+    nearly = {**statistics, "beckmann_alpha_x": 0.245, "beckmann_alpha_y": 0.255}
+    assert Microfacet.of(nearly, gold).distribution == Beckmann(0.25)
+    brushed = Gaussian(alpha_x=0.1, alpha_y=0.3, rotation=30.0)
+    scale = 0.25 / np.sqrt(0.05)
+    found = Beckmann.of(nearly, brushed)
+    assert (found.alpha_x, found.alpha_y, found.rotation) == pytest.approx((0.1 * scale, 0.3 * scale, 30.0))
+    with pytest.raises(ValueError, match="fit it"):
+        GGX.of(statistics)
     for alpha in (0.0, None):
         with pytest.raises(ValueError, match="must be above 0 for a microfacet model"):
             CookTorrance.of({"beckmann_alpha": alpha}, gold)
+    with pytest.raises(ValueError, match="mirror facets"):
+        Microfacet.of(statistics, Lambertian(0.5))
     with pytest.raises(ValueError, match="use a microfacet model"):
         Lambert.of(statistics, gold)

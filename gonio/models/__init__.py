@@ -4,38 +4,47 @@ A model is a recipe with `eval(wi, wo, wavelengths)` (..., W), values in 1/sr wi
 `average(wi, detector, wavelengths)` (bins, W), the cos-weighted averages that a detector's bins would measure.
 """
 
+import contextlib
 from collections.abc import Mapping
 from typing import Annotated
 
 from pydantic import Field
 
 from gonio.models.cook_torrance import CookTorrance
-from gonio.models.distributions import Beckmann, Distribution
+from gonio.models.distributions import GGX, Beckmann, Distribution, Mixture
 from gonio.models.lambert import Lambert
-from gonio.models.masking import Masking, SmithCorrelated
+from gonio.models.masking import Masking, SmithCorrelated, SmithSeparable, Unmasked, VCavity
 from gonio.models.microfacet import Microfacet
-from gonio.optics import Lambertian, Material
+from gonio.optics import Material
 
 Model = Annotated[Lambert | CookTorrance | Microfacet, Field(discriminator="kind")]
 """Every model there is."""
 
 __all__ = [
+    "GGX",
     "Beckmann",
     "CookTorrance",
     "Distribution",
     "Lambert",
     "Masking",
     "Microfacet",
+    "Mixture",
     "Model",
     "SmithCorrelated",
+    "SmithSeparable",
+    "Unmasked",
+    "VCavity",
     "matching",
 ]
 
+_FITTING: tuple[type[Lambert] | type[CookTorrance] | type[Microfacet], ...] = (Lambert, CookTorrance, Microfacet)
+"""The models that follow from a specimen's statistics, material and recipe, in the order they are shown."""
 
-def matching(statistics: Mapping[str, float | None], material: Material) -> tuple[Model, ...]:
-    """The models that claim to describe a specimen of these surface statistics and material; none for a flat mirror."""
-    if isinstance(material, Lambertian):
-        return (Lambert.of(statistics, material),)
-    if not statistics.get("beckmann_alpha"):
-        return ()
-    return CookTorrance.of(statistics, material), Microfacet.of(statistics, material)
+
+def matching(statistics: Mapping[str, float | None], material: Material, surface: object = None) -> tuple[Model, ...]:
+    """The models that claim to describe a specimen of these statistics, material and (if known) surface recipe."""
+    models: list[Model] = []
+    for candidate in _FITTING:
+        with contextlib.suppress(ValueError):
+            models.append(candidate.of(statistics, material, surface))
+    return tuple(models)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,13 @@ _FINEST = 5_000_000
 
 _BATCH = 1 << 17
 """Directions evaluated at once: bounds the memory whatever the detector."""
+
+
+class Estimate(NamedTuple):
+    """What a random walk found, and how sure it is: arrays of the same shape, the first axis the orders."""
+
+    value: Array
+    standard_error: Array
 
 
 class Function(Protocol):

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.models.averages import Detail
-from gonio.models.distributions import Distribution
-from gonio.optics import Specular
+from gonio.models.distributions import BECKMANN, REACH, Distribution, density, smith_lambda
+from gonio.models.masking import CODES, Masking
+from gonio.optics import Mirror, Specular, fresnel
+from gonio.randomness import kernel
 from gonio.sphere import Vectors
 
 Array = NDArray[np.float64]
-
-_REACH = 6.0
-"""A distribution is followed to facet slopes of this many alpha: beyond, Beckmann's D is 2e-16 of its maximum."""
 
 
 def above(wi: ArrayLike, wo: ArrayLike) -> NDArray[np.bool_]:
@@ -25,7 +24,7 @@ def above(wi: ArrayLike, wo: ArrayLike) -> NDArray[np.bool_]:
 
 def specular(
     distribution: Distribution,
-    masking: Callable[[Vectors, Vectors, Vectors], Array],
+    masking: Masking,
     material: Specular,
     wi: ArrayLike,
     wo: ArrayLike,
@@ -36,27 +35,79 @@ def specular(
     Facets of normals within dwm turn (wi . wm) D dwm of the light per area of the plane into the solid angle
     dwo = 4 (wo . wm) dwm; dividing by the irradiance's and the radiance's cosine leaves the formula, and its 4.
     """
-    up = np.array([0.0, 0.0, 1.0])
-    seen = above(wi, wo)[..., None]
-    wi, wo = np.where(seen, wi, up), np.where(seen, wo, up)
-    wh = wi + wo
-    length = np.sqrt(np.einsum("...k,...k->...", wh, wh))
-    wh /= length[..., None]
-    geometry = distribution.density(wh) * masking(wi, wo, wh) / (4.0 * wi[..., 2]) / wo[..., 2]
-    # |wi + wo| = 2 wi . wh: no cancellation at grazing, where the scalar product has some.
-    fresnel = material.reflectance(np.minimum(length / 2.0, 1.0), wavelengths)
-    return np.where(seen, geometry[..., None] * fresnel, 0.0)
+    wi, wo = np.asarray(wi, np.float64), np.asarray(wo, np.float64)
+    shape = np.broadcast_shapes(wi.shape, wo.shape)[:-1]
+    lamp, eye = (_rows(w, shape) for w in (wi, wo))
+    value = np.empty((math.prod(shape), np.size(wavelengths)))
+    index = np.zeros(0, complex) if isinstance(material, Mirror) else material.refractive_index(wavelengths)
+    code = CODES[type(masking).__name__]
+    _specular(distribution.lobes(), code, index.real.copy(), index.imag.copy(), lamp, eye, value)
+    return value.reshape(*shape, -1)
 
 
-def lobe_detail(alpha: float) -> Detail:
-    """The finest detail of a lobe of roughness `alpha`: turning wm by an angle turns wo by |wi + wo| times that."""
+def _rows(w: Vectors, shape: tuple[int, ...]) -> Array:
+    """Directions as rows for a kernel: one if it serves for all, else one for each of `shape`."""
+    if w.ndim == 1:
+        return np.ascontiguousarray(w[None])
+    return np.ascontiguousarray(np.broadcast_to(w, (*shape, 3)).reshape(-1, 3))
+
+
+@kernel
+def masked(lobes, code, wix, wiy, wiz, wox, woy, woz, hz, cosine):  # type: ignore[no-untyped-def]
+    """G2 of the masking with this code; `cosine` is that of the angle between wi and the half vector."""
+    if code == 1:
+        return min(1.0, 2.0 * hz * min(wiz, woz) / cosine)
+    if code == 0:
+        return 1.0
+    lamp, eye = smith_lambda(lobes, wix, wiy, wiz), smith_lambda(lobes, wox, woy, woz)
+    return 1.0 / ((1.0 + lamp) * (1.0 + eye)) if code == 2 else 1.0 / (1.0 + lamp + eye)
+
+
+@kernel
+def _specular(lobes, code, eta, k, wi, wo, value):  # type: ignore[no-untyped-def]
+    """Fill `value` (n, W) for rows of directions, of which a single one serves for all."""
+    lamps, eyes = wi.shape[0] > 1, wo.shape[0] > 1
+    for i in range(value.shape[0]):
+        wix, wiy, wiz = wi[i * lamps, 0], wi[i * lamps, 1], wi[i * lamps, 2]
+        wox, woy, woz = wo[i * eyes, 0], wo[i * eyes, 1], wo[i * eyes, 2]
+        geometry, cosine = 0.0, 1.0
+        if wiz > 0.0 and woz > 0.0:
+            x, y, z = wix + wox, wiy + woy, wiz + woz
+            length = math.sqrt(x * x + y * y + z * z)
+            x, y, z = x / length, y / length, z / length
+            # |wi + wo| = 2 wi . wh: no cancellation at grazing, where the scalar product has some.
+            cosine = min(0.5 * length, 1.0)
+            geometry = density(lobes, x, y, z)
+            if geometry > 0.0:
+                geometry *= masked(lobes, code, wix, wiy, wiz, wox, woy, woz, z, cosine) / (4.0 * wiz) / woz
+        for w in range(value.shape[1]):
+            value[i, w] = geometry
+            if geometry > 0.0 and eta.size:
+                value[i, w] *= fresnel(cosine, eta[w], k[w])
+
+
+def lobe_detail(distribution: Distribution) -> Detail:
+    """The finest detail of a lobe: turning wm by an angle turns wo by |wi + wo| times that.
+
+    Beckmann's lobe ends; that of GGX goes on for ever, and widens with the slope t as sqrt(1 + (t / alpha)^2).
+    """
+    lobes = distribution.lobes()
 
     def detail(wi: Vectors, wo: Vectors, radius: Array) -> Array:
         wh = wi + wo
         length = np.linalg.norm(wh, axis=-1)
         tilt = np.arctan2(np.hypot(wh[..., 0], wh[..., 1]), wh[..., 2])
-        reached = tilt - radius[:, None] / length < np.arctan(_REACH * alpha)
-        finest: Array = np.where(reached, min(alpha, 1.0) * length, np.inf).min(axis=1)
-        return finest
+        nearest = np.maximum(tilt - radius[:, None] / length, 0.0)
+        finest = np.full(length.shape, np.inf)
+        for kind, _, alpha_x, alpha_y, _, _ in lobes:
+            narrow, wide = min(alpha_x, alpha_y), max(alpha_x, alpha_y)
+            if kind == BECKMANN:
+                width = np.where(nearest < np.arctan(REACH * wide), min(narrow, 1.0), np.inf)
+            else:
+                slope = np.tan(np.minimum(nearest, 1.5))
+                width = np.minimum(narrow * np.hypot(1.0, slope / wide), 1.0)
+            finest = np.minimum(finest, width * length)
+        smallest: Array = finest.min(axis=1)
+        return smallest
 
     return detail

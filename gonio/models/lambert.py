@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,8 +33,13 @@ class Lambert:
     reflectance: Fraction = 0.8
     """Reflected share of the incident power (albedo), 0 to 1, the same at every wavelength."""
 
+    order: ClassVar[str] = "1"
+    """It speaks of light that was reflected once."""
+    free: ClassVar[dict[str, tuple[float, float]]] = {"reflectance": (0.0, 1.0)}
+    """What a fit adjusts, and its bounds."""
+
     @classmethod
-    def of(cls, statistics: Mapping[str, float | None], material: Material) -> Lambert:
+    def of(cls, statistics: Mapping[str, float | None], material: Material, surface: object = None) -> Lambert:
         """The diffuser of a specimen's Lambertian `material`; any other material is a ValueError. Relief is ignored."""
         if not isinstance(material, Lambertian):
             raise ValueError(

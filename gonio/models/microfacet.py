@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +13,7 @@ from gonio.models.averages import bin_average
 from gonio.models.distributions import Beckmann, Distribution
 from gonio.models.facets import lobe_detail, specular
 from gonio.models.masking import Masking, SmithCorrelated
-from gonio.optics import Specular
+from gonio.optics import Lambertian, Material, Specular
 from microsurfaces.recipe import recipe
 
 Array = NDArray[np.float64]
@@ -49,23 +48,28 @@ class Microfacet:
     """
 
     distribution: Distribution
-    """Distribution of the facets' normals: Beckmann(alpha)."""
+    """Distribution of the facets' normals: Beckmann, GGX or a Mixture of them."""
     masking: Masking
-    """How facets hide one another: SmithCorrelated()."""
+    """How facets hide one another: SmithCorrelated, SmithSeparable, VCavity or Unmasked."""
     material: Specular
     """What the facets are made of: Mirror, Conductor or Dielectric."""
 
+    order: ClassVar[str] = "1"
+    """It speaks of light that was reflected once."""
+    free: ClassVar[dict[str, tuple[float, float]]] = {"distribution.alpha": (0.005, 3.0)}
+    """What a fit adjusts, and its bounds."""
+
     @classmethod
-    def of(cls, statistics: Mapping[str, float | None], material: Specular) -> Self:
-        """Smith and Beckmann for a specimen: alpha is the one that its `statistics` measured from the facets."""
-        return cls(distribution=Beckmann.of(statistics), masking=SmithCorrelated(), material=material)
+    def of(cls, statistics: Mapping[str, float | None], material: Material, surface: object = None) -> Self:
+        """Smith and Beckmann for a specimen: roughness that its `statistics` measured from the facets."""
+        if isinstance(material, Lambertian):
+            raise ValueError(f"Microfacet describes specimens of mirror facets, and this one is {material!r}.")
+        return cls(distribution=Beckmann.of(statistics, surface), masking=SmithCorrelated(), material=material)
 
     def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Array:
         """BRDF (..., W) in 1/sr, no cosine, of `wi` and `wo` (..., 3); 0 where a direction is not above the horizon."""
-        return specular(
-            self.distribution, partial(self.masking.g2, self.distribution), self.material, wi, wo, wavelengths
-        )
+        return specular(self.distribution, self.masking, self.material, wi, wo, wavelengths)
 
     def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Array:
         """Bin averages (bins, W) in 1/sr for light from `wi` (3,), to about 1e-5 of a bin or of the mean."""
-        return bin_average(self, lobe_detail(self.distribution.alpha), wi, detector, wavelengths)
+        return bin_average(self, lobe_detail(self.distribution), wi, detector, wavelengths)
