@@ -7,11 +7,12 @@ from gonio.models import (
     Lambert,
     Microfacet,
     Mixture,
+    PoulinFournier,
     SmithCorrelated,
     SmithSeparable,
     VCavity,
 )
-from gonio.optics import Conductor, Dielectric, Mirror
+from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
 
 
 def smith(alpha, material=Mirror()):  # noqa: B008 - a frozen recipe
@@ -36,5 +37,7 @@ MODELS = [
         masking=SmithCorrelated(),
         material=Mirror(),
     ),
+    PoulinFournier(local=Lambertian(0.9), distance=2.5, floor_height=0.2),
+    PoulinFournier(local=CookTorrance(m=0.2, material=Mirror()), profile="grooves", groups=((0.4, 0.0), (0.6, 70.0))),
 ]
 """None of them creates energy; all of them are reciprocal functions."""

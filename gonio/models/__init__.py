@@ -15,9 +15,10 @@ from gonio.models.distributions import GGX, Beckmann, Distribution, Mixture
 from gonio.models.lambert import Lambert
 from gonio.models.masking import Masking, SmithCorrelated, SmithSeparable, Unmasked, VCavity
 from gonio.models.microfacet import Microfacet
+from gonio.models.poulin_fournier import PoulinFournier
 from gonio.optics import Material
 
-Model = Annotated[Lambert | CookTorrance | Microfacet, Field(discriminator="kind")]
+Model = Annotated[Lambert | CookTorrance | Microfacet | PoulinFournier, Field(discriminator="kind")]
 """Every model there is."""
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "Microfacet",
     "Mixture",
     "Model",
+    "PoulinFournier",
     "SmithCorrelated",
     "SmithSeparable",
     "Unmasked",
@@ -37,7 +39,7 @@ __all__ = [
     "matching",
 ]
 
-_FITTING: tuple[type[Lambert] | type[CookTorrance] | type[Microfacet], ...] = (Lambert, CookTorrance, Microfacet)
+_FITTING = (Lambert, PoulinFournier, CookTorrance, Microfacet)
 """The models that follow from a specimen's statistics, material and recipe, in the order they are shown."""
 
 
