@@ -1,7 +1,7 @@
 """How well a model describes a measurement, and how much of the difference is noise.
 
-Models of single scattering are compared with order 1, the light that hit the surface once, and as what the instrument
-measures: averages over the detector's bins.
+Models are compared with the light they speak of, most with order 1, the light that hit the surface once; and as what
+the instrument measures: averages over the detector's bins.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gonio.detectors import Detector, HemisphereGrid
 from gonio.measurement import Measurement
 from gonio.models import Model
-from gonio.models.averages import TOLERANCE
+from gonio.models.averages import TOLERANCE, Estimate, RandomWalk
 from gonio.sphere import Vectors, direction
 
 if TYPE_CHECKING:
@@ -30,6 +30,9 @@ ENOUGH_HITS = 10
 CONFIDENCE = 0.95
 """Level of a bin's interval, and of all judgements of one comparison together."""
 
+FLOOR = 0.01
+"""Share of a lobe's peak below which logarithms of it are not compared."""
+
 _FINE = HemisphereGrid(theta_step=2.0, phi_step=3.0)
 """Where a model's albedo is summed if the detector does not cover the hemisphere."""
 
@@ -41,33 +44,50 @@ class Verdict:
     `table` is an `xarray.Dataset` over theta_i, phi_i, wavelength, NaN where nothing was measured:
 
     * `albedo_measured`, `albedo_standard_error`, `albedo_standard_error_mc` (its Monte Carlo part), `albedo_model`: the
-      directional-hemispherical reflectance of single scattering;
+      directional-hemispherical reflectance of the compared order; `albedo_bias`: model / measured - 1;
     * `z`, `p_value`: their difference (measured - model) in standard errors, and the probability of one at least as
       large by chance, by Student's t with `degrees_of_freedom`; `albedo_differs`: whether that is less than 5 %, all
-      the incidences and wavelengths of the comparison together (Sidak);
+      the incidences and wavelengths of the comparison together (Sidak); `albedo_within_mc`: whether Monte Carlo noise
+      alone explains it;
     * `l1`: the lobe's difference, the sum of |measured - model| times projected solid angle over the pooled bins, as a
       share of the model's albedo; `l1_noise`: what noise alone is expected to add up to, `l1_noise_mc` the Monte Carlo
-      noise alone; `lobe`: "noise", "unclear" or "differs" (see `compare`);
+      noise alone; `lobe`: "noise", "unclear" or "differs" (see `compare`), and `lobe_within_mc`: whether Monte Carlo
+      noise alone explains it;
+    * `l2`, `l2_noise`: root mean square over projected solid angle, as a share of that of the model;
+    * `log_rms`, `log_rms_noise`: root mean square over projected solid angle of ln(measured / model) where both exceed
+      `floor` times the model's peak (0.1 is a typical factor of 1.1);
+    * `chi2`, `chi2_mc`: mean square difference in standard errors, which is 1 if there is nothing but noise (the
+      uncertainty of the standard errors is taken out); the second with Monte Carlo noise only. NaN where fewer than 4
+      specimens do not allow it;
     * `share_outside`: share of the pooled bins in which the model is outside the 95 % interval of the measurement;
       `share_noise_expected`: the share that noise alone leaves outside;
     * `bins`: pooled bins that were judged, `bins_measured`: bins of the detector.
+
+    `lobes` is an `xarray.Dataset` over theta_i, phi_i, the detector's bins and wavelength, in 1/sr: `measured`,
+    `standard_error`, `model`; and `significance`: (measured - model) in standard errors, of the pool that a bin is in.
     """
 
     table: xr.Dataset
     """The numbers."""
+    lobes: xr.Dataset
+    """Bin by bin."""
     model: Model
     """The model that was judged."""
+    order: str
+    """The order of scattering that it was compared with: "1", "all" ..."""
     scope: Literal["specimen", "class"]
     """What the error bars speak of: this one specimen (one realisation), or the class that several were drawn from."""
     realisations: int
     """How many specimens the measurement holds (the fewest of any incidence)."""
     beam_half_angle: float
     """Half the angle of the lamp's beam, degrees."""
+    floor: float
+    """Share of the peak below which logarithms were not compared."""
 
     def sentences(self) -> list[str]:
         """The verdict in plain sentences: what it speaks of, then two for each incidence, at its worst wavelength."""
         name = type(self.model).__name__
-        return [*self.preamble(), *(line for row in self.worst_rows() for line in _describe(row, name))]
+        return [*self.preamble(), *(line for row in self.worst_rows() for line in _describe(row, name, self.order))]
 
     def preamble(self) -> list[str]:
         """What the verdict speaks of."""
@@ -89,25 +109,59 @@ class Verdict:
         )
         return [scope, beam]
 
+    def rows(self) -> list[dict[str, Any]]:
+        """One row of `table` an incidence and wavelength; `several` tells which of the coordinates vary."""
+        several = {name: self.table.sizes[name] > 1 for name in ("phi_i", "wavelength")}
+        cells = (
+            self.table.isel(theta_i=i, phi_i=j, wavelength=w)
+            for i, j, w in zip(*np.nonzero(self.table["bins"].values), strict=True)
+        )
+        return [
+            {**{str(name): variable.values[()] for name, variable in cell.variables.items()}, "several": several}
+            for cell in cells
+        ]
+
     def worst_rows(self) -> list[dict[str, Any]]:
-        """One row of `table` an incidence, the wavelength at which the albedos differ most; `several` tells which of
-        the coordinates vary."""
+        """One row of `table` an incidence, the wavelength at which the albedos differ most."""
+        rows, wavelengths = self.rows(), self.table.sizes["wavelength"]
+        incidences = (rows[first : first + wavelengths] for first in range(0, len(rows), wavelengths))
+        return [max(incidence, key=_albedo_ratio) for incidence in incidences]
+
+    def worst_bins(self, count: int = 5) -> list[dict[str, float]]:
+        """The `count` bins that add most to the L1 differences beyond doubt (3 standard errors), the largest first.
+
+        Each has its coordinates, `measured`, `standard_error`, `model` (1/sr), `significance` (standard errors) and
+        `share` of the incidence's L1 difference.
+        """
+        difference = abs(self.lobes["measured"] - self.lobes["model"]) * self.lobes["projected_solid_angle"]
+        bins = [name for name in difference.dims if name not in self.table.dims]
+        share = difference / difference.sum(bins)
+        doubtless = share.where(abs(self.lobes["significance"]) > 3.0, 0.0).fillna(0.0)
+        order = np.argsort(doubtless.values, axis=None)[::-1][:count]
         rows = []
-        for theta in self.table["theta_i"].values:
-            for phi in self.table["phi_i"].values:
-                cell = self.table.sel(theta_i=theta, phi_i=phi)
-                if cell["bins"].values[0] == 0:
-                    continue
-                # A ratio of nothing to nothing is no difference.
-                model, measured = (np.maximum(cell[f"albedo_{x}"].values, 1e-300) for x in ("model", "measured"))
-                worst = cell.isel(wavelength=int(np.abs(np.log(model / measured)).argmax()))
-                row: dict[str, Any] = {str(name): variable.values[()] for name, variable in worst.variables.items()}
-                rows.append({**row, "several": {name: self.table.sizes[name] > 1 for name in ("phi_i", "wavelength")}})
+        for index in zip(*np.unravel_index(order, doubtless.shape), strict=True):
+            at = dict(zip(map(str, doubtless.dims), index, strict=True))
+            if doubtless.values[index] == 0.0:
+                break
+            names = ("measured", "standard_error", "model", "significance")
+            rows.append(
+                {
+                    **{name: float(doubtless[name].values[place]) for name, place in at.items()},
+                    **{name: float(self.lobes[name].isel(at)) for name in names},
+                    "share": float(share.values[index]),
+                }
+            )
         return rows
 
 
+def _albedo_ratio(row: dict[str, Any]) -> float:
+    """How far apart the albedos are; a ratio of nothing to nothing is no difference."""
+    model, measured = (max(float(row[f"albedo_{x}"]), 1e-300) for x in ("model", "measured"))
+    return abs(float(np.log(model / measured)))
+
+
 class _Incidence(NamedTuple):
-    """What was measured at one incidence, order 1: bins flattened in theta_o, dphi order."""
+    """What was measured at one incidence, one order: bins flattened in theta_o, dphi order."""
 
     brdf: Array
     """(bins, W)"""
@@ -119,14 +173,39 @@ class _Incidence(NamedTuple):
     """(bins,)"""
     freedom: float
     """Degrees of freedom of `error`."""
+    freedom_mc: float
+    """Degrees of freedom of `error_mc`."""
 
 
-def compare(measurement: Measurement, model: Model) -> Verdict:
-    """Judge `model` against order 1 of `measurement`, incidence by incidence, bin average by bin average.
+class _Prediction(NamedTuple):
+    """What a model says of one incidence."""
+
+    brdf: Array
+    """(bins, W)"""
+    random: Array
+    """(bins, W), standard errors of a model that is a random walk; 0 for all others."""
+    albedo: Array
+    """(W,)"""
+    albedo_error: Array
+    """(W,)"""
+
+
+def predicted(model: Model, wi: Vectors, detector: Detector, wavelengths: Array) -> Estimate:
+    """Bin averages (bins, W) of `model` in 1/sr with their random standard errors, 0 for models that have none."""
+    if isinstance(model, RandomWalk):
+        value, error = model.estimate(wi, detector, wavelengths, orders=1)
+        return Estimate(value[0], error[0])
+    average = model.average(wi, detector, wavelengths)
+    return Estimate(average, np.zeros_like(average))
+
+
+def compare(measurement: Measurement, model: Model, floor: float = FLOOR) -> Verdict:
+    """Judge `model` against the order of `measurement` that it speaks of, incidence by incidence, bin by bin.
 
     Bins with fewer than 10 hits are pooled with those that follow them in theta_o, dphi order until a pool has 10.
     Noise is what the standard errors say: Monte Carlo noise if one realisation was measured, and the difference between
-    specimens as well if several were. The numerical error of the model's averages counts as noise too.
+    specimens as well if several were. The numerical error of the model's averages counts as noise too. `floor` is the
+    share of the lobe's peak below which logarithms are not compared.
 
     The albedo differs if Student's t says so (see `Verdict`). The lobe is "noise" as long as its L1 difference stays
     within three standard deviations of what independent noise in every bin adds up to. But specimens may move a lobe as
@@ -141,22 +220,43 @@ def compare(measurement: Measurement, model: Model) -> Verdict:
     if not (data["paths"].values > 0).any():
         raise ValueError("The measurement holds no measured incidence to compare with: run it again to the end.")
     shape = tuple(data.sizes[name] for name in ("theta_i", "phi_i", "wavelength"))
+    detector = measurement.detector
     columns: dict[str, NDArray[Any]] = {}
+    lobes = {name: np.full((*shape[:2], detector.bins, shape[2]), np.nan) for name in _BINNED}
     level = 1.0 - CONFIDENCE ** (1.0 / (np.count_nonzero(data["paths"].values) * shape[2]))
     for i, j in zip(*np.nonzero(data["paths"].values), strict=True):
         wi = direction(data["theta_i"].values[i], data["phi_i"].values[j])
-        row = _judge(data, (int(i), int(j)), wi, measurement.detector, model, level)
+        row, binned = _judge(_chosen(data, model.order, i, j), wi, detector, model, level, floor)
         for name, values in row.items():
             columns.setdefault(name, _blank(shape, np.asarray(values).dtype))[i, j] = values
+        for name, values in zip(_BINNED, binned, strict=True):
+            lobes[name][i, j] = values
     coordinates = {name: data[name].values for name in ("theta_i", "phi_i", "wavelength")}
     table = xr.Dataset({name: (tuple(coordinates), column) for name, column in columns.items()}, coordinates)
     realisations = int(data["realisations"].values[data["paths"].values > 0].min())
     scope: Literal["specimen", "class"] = "specimen" if realisations == 1 else "class"
-    return Verdict(table, model, scope, realisations, _beam_half_angle(measurement))
+    beam = float(json.loads(measurement.attributes["goniometer"]).get("beam_half_angle", 0.0))
+    return Verdict(table, _bin_by_bin(data, detector, lobes), model, model.order, scope, realisations, beam, floor)
 
 
-def _beam_half_angle(measurement: Measurement) -> float:
-    return float(json.loads(measurement.attributes["goniometer"]).get("beam_half_angle", 0.0))
+_BINNED = ("measured", "standard_error", "model", "significance")
+
+
+def _bin_by_bin(data: xr.Dataset, detector: Detector, lobes: dict[str, Array]) -> xr.Dataset:
+    """The lobes, labelled as the measurement is."""
+    import xarray as xr
+
+    bins = data["brdf"].dims[3:-1]
+    dims = ("theta_i", "phi_i", *bins, "wavelength")
+    solid = detector.projected_solid_angles().reshape(detector.shape)
+    variables = {name: (dims, values.reshape(*values.shape[:2], *detector.shape, -1)) for name, values in lobes.items()}
+    units = {name: {"units": "1" if name == "significance" else "sr-1"} for name in variables}
+    coordinates = {str(name): data[name].values for name in dims if name in data.coords}
+    return xr.Dataset(
+        {name: (*variable, units[name]) for name, variable in variables.items()}
+        | {"projected_solid_angle": (bins, solid, {"units": "sr"})},
+        coordinates,
+    )
 
 
 def _blank(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
@@ -164,49 +264,74 @@ def _blank(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
     return np.full(shape, np.nan) if dtype.kind == "f" else np.zeros(shape, "U7" if dtype.kind == "U" else dtype)
 
 
+def _chosen(data: xr.Dataset, order: str, i: int, j: int) -> xr.Dataset:
+    return data.sel(order=order).isel(theta_i=i, phi_i=j)
+
+
 def _judge(
-    data: xr.Dataset, at: tuple[int, int], wi: Vectors, detector: Detector, model: Model, level: float
-) -> dict[str, Any]:
-    """One incidence's columns of the table, each (W,) or a scalar."""
-    wavelengths = data["wavelength"].values
-    average = model.average(wi, detector, wavelengths)
-    covers = isinstance(detector, HemisphereGrid)
+    data: xr.Dataset, wi: Vectors, detector: Detector, model: Model, level: float, floor: float
+) -> tuple[dict[str, Any], tuple[Array, ...]]:
+    """One incidence's columns of the table, each (W,) or a scalar; and its bins, each (bins, W)."""
+    prediction = _predict(model, wi, detector, data["wavelength"].values)
+    measured = _incidence(data)
     solid = detector.projected_solid_angles()
-    whole = solid @ average if covers else _FINE.projected_solid_angles() @ model.average(wi, _FINE, wavelengths)
-    lobe = _lobe(_incidence(data, at), average, solid, whole)
-    return {**_albedo(data, at, whole, level), **lobe, "bins_measured": detector.bins}
+    pools = _Pools(measured, prediction, solid)
+    row = {
+        **_albedo(data, prediction, level),
+        **_lobe(pools, prediction.albedo, measured.freedom),
+        **_squares(pools, solid),
+        **_logarithms(pools, solid, floor),
+        "bins_measured": detector.bins,
+    }
+    return row, (measured.brdf, measured.error, prediction.brdf, pools.spread(pools.significance()))
 
 
-def _incidence(data: xr.Dataset, at: tuple[int, int]) -> _Incidence:
-    chosen = data.sel(order="1").isel(theta_i=at[0], phi_i=at[1])
+def _predict(model: Model, wi: Vectors, detector: Detector, wavelengths: Array) -> _Prediction:
+    """Bins and hemisphere."""
+    brdf, random = predicted(model, wi, detector, wavelengths)
+    if isinstance(model, RandomWalk):
+        albedo, error = model.albedo(wi, wavelengths, orders=1)
+        return _Prediction(brdf, random, albedo[0], error[0])
+    covers = isinstance(detector, HemisphereGrid)
+    solid = (detector if covers else _FINE).projected_solid_angles()
+    albedo = solid @ (brdf if covers else model.average(wi, _FINE, wavelengths))
+    return _Prediction(brdf, random, albedo, TOLERANCE * albedo)
+
+
+def _incidence(data: xr.Dataset) -> _Incidence:
     brdf, error, error_mc = (
-        chosen[name].transpose(..., "wavelength").values.reshape(-1, data.sizes["wavelength"])
+        data[name].transpose(..., "wavelength").values.reshape(-1, data.sizes["wavelength"])
         for name in ("brdf", "standard_error", "standard_error_mc")
     )
-    return _Incidence(brdf, error, error_mc, chosen["hits"].values.ravel(), float(chosen["degrees_of_freedom"]))
+    freedom, freedom_mc = (float(data[name]) for name in ("degrees_of_freedom", "degrees_of_freedom_mc"))
+    return _Incidence(brdf, error, error_mc, data["hits"].values.ravel(), freedom, freedom_mc)
 
 
 # --- Albedo -----------------------------------------------------------------------------------------------------------
 
 
-def _albedo(data: xr.Dataset, at: tuple[int, int], model: Array, level: float) -> dict[str, Any]:
+def _albedo(data: xr.Dataset, prediction: _Prediction, level: float) -> dict[str, Any]:
     """Measured and model albedo, and Student's t of their difference; each (W,)."""
     from scipy.special import stdtr
 
-    chosen = data.sel(order="1").isel(theta_i=at[0], phi_i=at[1])
-    measured, error = chosen["albedo"].values, chosen["albedo_standard_error"].values
-    freedom = float(chosen["degrees_of_freedom"])
-    z = _in_units(measured - model, np.hypot(error, TOLERANCE * model))
+    model = prediction.albedo
+    measured, error = data["albedo"].values, data["albedo_standard_error"].values
+    error_mc = data["albedo_standard_error_mc"].values
+    freedom, freedom_mc = float(data["degrees_of_freedom"]), float(data["degrees_of_freedom_mc"])
+    z = _in_units(measured - model, np.hypot(error, prediction.albedo_error))
+    z_mc = _in_units(measured - model, np.hypot(error_mc, prediction.albedo_error))
     p_value = 2.0 * stdtr(freedom, -np.abs(z))
     return {
         "albedo_measured": measured,
         "albedo_standard_error": error,
-        "albedo_standard_error_mc": chosen["albedo_standard_error_mc"].values,
+        "albedo_standard_error_mc": error_mc,
         "albedo_model": model,
+        "albedo_bias": _in_units(model - measured, measured),
         "z": z,
         "degrees_of_freedom": freedom,
         "p_value": p_value,
         "albedo_differs": p_value < level,
+        "albedo_within_mc": 2.0 * stdtr(freedom_mc, -np.abs(z_mc)) >= level,
     }
 
 
@@ -219,29 +344,51 @@ def _in_units(value: Array, unit: Array) -> Array:
 # --- Lobe -------------------------------------------------------------------------------------------------------------
 
 
-def _lobe(measured: _Incidence, model: Array, solid: Array, albedo: Array) -> dict[str, Any]:
-    """L1 difference and share of pooled bins outside their interval, with what noise alone would give; each (W,)."""
-    from scipy.special import stdtrit
+def _at_most(freedom: Array) -> Array:
+    """Degrees of freedom with which nothing is left to know, in place of more or of none."""
+    return np.clip(np.where(freedom > 0.0, freedom, np.inf), None, 1e6)
 
-    first = _pools(measured.hits)
-    power = solid[:, None]
-    difference = np.add.reduceat((measured.brdf - model) * power, first)
-    numerical = TOLERANCE * np.add.reduceat(model * power, first)
-    variance, freedom = _pooled_variance(measured.error * power, measured.freedom, measured.hits, first)
-    variance_mc = np.add.reduceat((measured.error_mc * power) ** 2, first)
-    error, error_mc = np.sqrt(variance + numerical**2), np.sqrt(np.minimum(variance, variance_mc) + numerical**2)
-    outside = np.abs(difference) > stdtrit(freedom, (1.0 + CONFIDENCE) / 2.0) * error
-    l1 = np.abs(difference).sum(axis=0)
-    noise, floor, ceiling = _l1_limits(error, error_mc, freedom, measured.freedom)
-    return {
-        "l1": _in_units(l1, albedo),
-        "l1_noise": _in_units(noise, albedo),
-        "l1_noise_mc": _in_units(_expected_l1(error_mc, freedom).sum(axis=0), albedo),
-        "lobe": np.where(l1 <= floor, "noise", np.where(l1 <= ceiling, "unclear", "differs")),
-        "share_outside": outside.mean(axis=0),
-        "share_noise_expected": 1.0 - CONFIDENCE,
-        "bins": first.size,
-    }
+
+class _Pools:
+    """Neighbouring bins joined until they have enough hits: energies (pools, W), and what is uncertain about them."""
+
+    def __init__(self, measured: _Incidence, prediction: _Prediction, solid: Array) -> None:
+        self.first = _pools(measured.hits)
+        self.size = np.diff(np.append(self.first, measured.hits.size))
+        power = solid[:, None]
+        self.measured = self._sum(measured.brdf * power)
+        self.model = self._sum(prediction.brdf * power)
+        numerical = (TOLERANCE * self.model) ** 2 + self._sum((prediction.random * power) ** 2)
+        variance = self._sum((measured.error * power) ** 2)
+        variance_mc = self._sum((measured.error_mc * power) ** 2)
+        self.error = np.sqrt(variance + numerical)
+        self.error_mc = np.sqrt(np.minimum(variance, variance_mc) + numerical)
+        count = self._sum(measured.hits)[:, None]
+        fourth, fourth_mc = (self._sum((error * power) ** 4) for error in (measured.error, measured.error_mc))
+        # What is known of the model, without degrees of freedom, makes the sum of both the better known.
+        surer, surer_mc = (_in_units(v + numerical, v) ** 2 for v in (variance, variance_mc))
+        self.freedom = _at_most(self._freedom(variance, fourth, count, measured.freedom) * surer)
+        self.freedom_mc = _at_most(self._freedom(variance_mc, fourth_mc, count, measured.freedom_mc) * surer_mc)
+
+    def _sum(self, values: NDArray[Any]) -> NDArray[Any]:
+        return np.add.reduceat(values, self.first)
+
+    def _freedom(self, variance: Array, fourth: Array, count: NDArray[np.int64], freedom: float) -> Array:
+        """Degrees of freedom of the variance of a pool, its bins taken as independent (Welch and Satterthwaite).
+
+        A count of n hits knows its own variance no better than 2 n degrees of freedom do.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            welch = np.where(fourth > 0.0, freedom * variance**2 / fourth, freedom)
+        return np.where(self.size[:, None] == 1, freedom, np.minimum(welch, np.maximum(2 * count, freedom)))
+
+    def significance(self) -> Array:
+        """(measured - model) in standard errors, (pools, W)."""
+        return _in_units(self.measured - self.model, self.error)
+
+    def spread(self, values: Array) -> Array:
+        """What is known of pools (pools, W) for each of their bins (bins, W)."""
+        return np.repeat(values, self.size, axis=0)
 
 
 def _pools(hits: NDArray[np.int64]) -> NDArray[np.intp]:
@@ -258,23 +405,65 @@ def _pools(hits: NDArray[np.int64]) -> NDArray[np.intp]:
     return np.asarray(starts if filled >= ENOUGH_HITS or len(starts) == 1 else starts[:-1], np.intp)
 
 
-def _pooled_variance(
-    error: Array, freedom: float, hits: NDArray[np.int64], first: NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """Variance (pools, W) of the sum of a pool's bins, and its degrees of freedom (Welch and Satterthwaite).
+def _lobe(pools: _Pools, albedo: Array, freedom: float) -> dict[str, Any]:
+    """L1 difference and share of pooled bins outside their interval, with what noise alone would give; each (W,)."""
+    from scipy.special import stdtrit
 
-    Bins are taken as independent. A count of n hits knows its own variance no better than 2 n degrees of freedom do.
-    """
-    variance = np.add.reduceat(error**2, first)
-    fourth = np.add.reduceat(error**4, first)
-    count = np.add.reduceat(hits, first)[:, None]
-    size = np.diff(np.append(first, hits.size))[:, None]
+    difference = np.abs(pools.measured - pools.model)
+    outside = difference > stdtrit(pools.freedom, (1.0 + CONFIDENCE) / 2.0) * pools.error
+    l1 = difference.sum(axis=0)
+    noise, limit = _l1_of_noise(pools.error, pools.freedom)
+    noise_mc, limit_mc = _l1_of_noise(pools.error_mc, pools.freedom_mc)
+    ceiling = limit + _l1_of_shifts(pools, freedom)
+    return {
+        "l1": _in_units(l1, albedo),
+        "l1_noise": _in_units(noise, albedo),
+        "l1_noise_mc": _in_units(noise_mc, albedo),
+        "lobe": np.where(l1 <= limit, "noise", np.where(l1 <= ceiling, "unclear", "differs")),
+        "lobe_within_mc": l1 <= limit_mc,
+        "share_outside": outside.mean(axis=0),
+        "share_noise_expected": 1.0 - CONFIDENCE,
+        "bins": pools.first.size,
+    }
+
+
+def _squares(pools: _Pools, solid: Array) -> dict[str, Array]:
+    """L2 difference and mean square difference in standard errors, with what noise alone would give; each (W,)."""
+    area = np.add.reduceat(solid, pools.first)[:, None]
+    scale = np.sqrt((pools.model**2 / area).sum(axis=0))
+    l2, noise = (
+        np.sqrt((x**2 / area).sum(axis=0)) for x in (pools.measured - pools.model, pools.error / _bias(pools.freedom))
+    )
+    return {
+        "l2": _in_units(l2, scale),
+        "l2_noise": _in_units(noise, scale),
+        "chi2": _mean_square(pools.measured - pools.model, pools.error, pools.freedom),
+        "chi2_mc": _mean_square(pools.measured - pools.model, pools.error_mc, pools.freedom_mc),
+    }
+
+
+def _mean_square(difference: Array, error: Array, freedom: Array) -> Array:
+    """Mean over pools of squares of Student's t, as a multiple of what they are without a difference: nu / (nu - 2)."""
+    if freedom.min() <= 2.0:
+        return np.full(difference.shape[1], np.nan)
+    return np.asarray((_in_units(difference, error) ** 2 * (1.0 - 2.0 / freedom)).mean(axis=0))
+
+
+def _logarithms(pools: _Pools, solid: Array, floor: float) -> dict[str, Array]:
+    """Root mean square of ln(measured / model) where both are above the floor, and that of noise alone; each (W,)."""
+    area = np.broadcast_to(np.add.reduceat(solid, pools.first)[:, None], pools.model.shape)
+    least = floor * (pools.model / area).max(axis=0)
+    compared = (np.minimum(pools.measured, pools.model) / area >= least) & (least > 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        welch = np.where(fourth > 0.0, freedom * variance**2 / fourth, freedom)
-    return variance, np.where(size == 1, freedom, np.minimum(welch, np.maximum(2 * count, freedom)))
+        squares = (
+            np.where(compared, x**2 * area, 0.0).sum(axis=0) / np.where(compared, area, 0.0).sum(axis=0)
+            for x in (np.log(pools.measured / pools.model), pools.error / pools.measured)
+        )
+        rms, noise = (np.sqrt(square) for square in squares)
+    return {"log_rms": rms, "log_rms_noise": noise}
 
 
-def _expected_l1(error: Array, freedom: Array | float) -> Array:
+def _expected_l1(error: Array, freedom: Array) -> Array:
     """Mean of |noise| where the standard error, itself estimated, is `error`; 0.80 of it if it is sure."""
     return np.asarray(np.sqrt(2.0 / np.pi) * error / _bias(freedom))
 
@@ -287,41 +476,50 @@ def _bias(freedom: Array | float) -> Array:
     return np.asarray(np.sqrt(2.0 / n) * np.exp(gammaln((n + 1.0) / 2.0) - gammaln(n / 2.0)))
 
 
-def _l1_limits(error: Array, error_mc: Array, freedom: Array, freedom_specimens: float) -> tuple[Array, Array, Array]:
-    """L1 expected from noise alone; the most that independent noise gives; the most that coherent noise could give."""
-    from scipy.special import stdtrit
-
+def _l1_of_noise(error: Array, freedom: Array) -> tuple[Array, Array]:
+    """L1 expected from independent noise alone, and the most that it gives."""
     expected = _expected_l1(error, freedom)
     noise = expected.sum(axis=0)
     # |noise| of one bin has the standard deviation sqrt(pi / 2 - 1) times its mean.
-    independent = noise + 3.0 * np.sqrt((np.pi / 2.0 - 1.0) * (expected**2).sum(axis=0))
-    realisation = _expected_l1(np.sqrt(np.maximum(error**2 - error_mc**2, 0.0)), freedom).sum(axis=0)
-    mean = np.sqrt(2.0 / np.pi) / _bias(freedom_specimens)
-    coherent = stdtrit(freedom_specimens, (1.0 + CONFIDENCE) / 2.0) / mean
-    return noise, independent, independent + (coherent - 1.0) * realisation
+    return noise, noise + 3.0 * np.sqrt((np.pi / 2.0 - 1.0) * (expected**2).sum(axis=0))
+
+
+def _l1_of_shifts(pools: _Pools, freedom: float) -> Array:
+    """How much more the specimens' differences could give if they were the same in all bins."""
+    from scipy.special import stdtrit
+
+    alone = np.sqrt(np.maximum(pools.error**2 - pools.error_mc**2, 0.0))
+    mean = np.sqrt(2.0 / np.pi) / _bias(freedom)
+    coherent = stdtrit(freedom, (1.0 + CONFIDENCE) / 2.0) / mean
+    return np.asarray((coherent - 1.0) * _expected_l1(alone, pools.freedom).sum(axis=0))
 
 
 # --- Words ------------------------------------------------------------------------------------------------------------
 
 
-def _describe(row: dict[str, Any], name: str) -> list[str]:
+def _describe(row: dict[str, Any], name: str, order: str) -> list[str]:
     """Two sentences on one incidence."""
     where = f"theta_i {row['theta_i']:g}"
     where += f", phi_i {row['phi_i']:g}" if row["several"]["phi_i"] else ""
     where += f", {row['wavelength']:g} nm" if row["several"]["wavelength"] else ""
-    return [f"{where}: {_albedo_sentence(row, name)}", f"{where}: {_lobe_sentence(row)}"]
+    return [f"{where}: {_albedo_sentence(row, name, order)}", f"{where}: {_lobe_sentence(row)}"]
 
 
-def _albedo_sentence(row: dict[str, Any], name: str) -> str:
+def _which_noise(within_mc: bool) -> str:
+    return "within the Monte Carlo noise" if within_mc else "above the Monte Carlo noise, within what specimens differ"
+
+
+def _albedo_sentence(row: dict[str, Any], name: str, order: str) -> str:
     measured, error, model = row["albedo_measured"], row["albedo_standard_error"], row["albedo_model"]
     digits = int(np.clip(1 - np.floor(np.log10(error)), 4, 8)) if error > 0.0 else 6
     if measured > 0.0:
-        comparison = f"{_percent(abs(model / measured - 1.0))} {'lower' if model < measured else 'higher'}"
+        comparison = f"{_percent(abs(row['albedo_bias']))} {'lower' if model < measured else 'higher'}"
     else:
         comparison = "nothing was measured"
-    judgement = "not noise" if row["albedo_differs"] else "within the noise"
+    judgement = "not noise" if row["albedo_differs"] else _which_noise(row["albedo_within_mc"])
     return (
-        f"order-1 albedo {measured:.{digits}f} ± {error:.{digits}f}, {name} {model:.{digits}f}: {comparison}, "
+        f"{'albedo' if order == 'all' else f'order-{order} albedo'} {measured:.{digits}f} ± {error:.{digits}f}, "
+        f"{name} {model:.{digits}f}: {comparison}, "
         f"t = {row['z']:.3g} with {row['degrees_of_freedom']:.0f} degrees of freedom, "
         f"p = {row['p_value']:.2g}: {judgement}."
     )
@@ -329,7 +527,7 @@ def _albedo_sentence(row: dict[str, Any], name: str) -> str:
 
 def _lobe_sentence(row: dict[str, Any]) -> str:
     words = {
-        "noise": "that is noise",
+        "noise": _which_noise(row["lobe_within_mc"]),
         "unclear": "more than independent noise, but specimens can shift a whole lobe: more realisations would tell",
         "differs": "not noise",
     }

@@ -73,8 +73,11 @@ def synthetic(
             for name, values in zip(names, per_bin, strict=True):
                 binned[name][0, i, j] = values.reshape(*detector.shape, -1)
             total["albedo"][0, i, j] = sums.mean(axis=0)
-            for name in ("albedo_standard_error", "albedo_standard_error_mc"):
-                total[name][0, i, j] = sums.std(axis=0, ddof=1) / np.sqrt(freedom + 1)
+            total["albedo_standard_error"][0, i, j] = sums.std(axis=0, ddof=1) / np.sqrt(freedom + 1)
+            independent = np.sqrt(((alone * solid) ** 2).sum(axis=0))
+            total["albedo_standard_error_mc"][0, i, j] = (
+                independent if realisations > 1 else total["albedo_standard_error"][0, i, j]
+            )
             counts[0, i, j] = np.broadcast_to(hits, detector.bins).reshape(detector.shape)
     front = ("order", "theta_i", "phi_i")
     data = xr.Dataset(
@@ -85,8 +88,21 @@ def synthetic(
             "paths": (front[1:], paths),
             "realisations": (front[1:], np.where(paths > 0, realisations, 0)),
             "degrees_of_freedom": (front[1:], np.full(paths.shape, freedom)),
+            "degrees_of_freedom_mc": (front[1:], np.full(paths.shape, FREEDOM * realisations)),
         },
-        {"order": ["1"], "theta_i": list(theta_i), "phi_i": list(phi_i), "wavelength": list(wavelengths)},
+        {
+            "order": ["1"],
+            "theta_i": list(theta_i),
+            "phi_i": list(phi_i),
+            "wavelength": list(wavelengths),
+            **(
+                {
+                    name: getattr(detector, name.removesuffix("_o"))
+                    for name in bins
+                    if isinstance(detector, HemisphereGrid)
+                }
+            ),
+        },
     )
     return Synthetic(data, detector, {"goniometer": json.dumps({"beam_half_angle": beam})})
 
@@ -103,8 +119,13 @@ def test_calibrated_on_pure_noise():
     assert kstest(column["p_value"], "uniform").pvalue > 0.01
     share = column["share_outside"]
     assert share.mean() == pytest.approx(0.05, abs=4 * share.std() / np.sqrt(share.size))
-    ratio = column["l1"] / column["l1_noise"]
-    assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(ratio.size))
+    for metric in ("l1", "l2", "log_rms"):
+        ratio = column[metric] / column[f"{metric}_noise"]
+        # Squares and logarithms of noise are not straight: 0.5 % is what 2 % of noise bends them by.
+        assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(ratio.size) + 0.005)
+    for metric in ("chi2", "chi2_mc"):
+        spread = column[metric].std() / np.sqrt(ratio.size)
+        assert column[metric].mean() == pytest.approx(1.0, abs=4 * spread)
     # 5 % of the albedos differ by construction: 10 of 200, with a standard deviation of 3.1.
     assert 1 <= column["albedo_differs"].sum() <= 20
     assert (column["lobe"] == "noise").mean() > 0.98
@@ -214,6 +235,100 @@ def test_a_model_without_light_is_told_apart_from_a_black_surface():
         assert row["albedo_differs"]
         assert "nothing was measured" in compare(black, Lambert(0.5)).sentences()[1]
         assert not compare(black, Lambert(0.0)).table.squeeze()["albedo_differs"]
+
+
+# --- Metrics ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.0, 1.25])
+def test_a_model_that_is_off_by_a_factor(factor):
+    """Measured = factor x model: every metric is a closed form of the factor."""
+    measurement = synthetic(truth=Lambert(0.6 * factor), noise=0.0)
+    row = compare(measurement, Lambert(0.6)).table.squeeze()
+    for metric in ("l1", "l2"):
+        assert row[metric].item() == pytest.approx(abs(factor - 1), abs=1e-12)
+    assert row["log_rms"].item() == pytest.approx(abs(np.log(factor)), abs=1e-12)
+    assert row["albedo_bias"].item() == pytest.approx(1 / factor - 1, abs=1e-12)
+
+
+def test_a_gradient_has_its_own_norms():
+    """Against f = 1 / pi, cos theta times f: integrals over the hemisphere are polynomials of the cosine."""
+    fine = HemisphereGrid(1.0, 30.0)
+    measurement = synthetic(truth=Lambert(1.0), noise=0.0, detector=fine)
+    edges = np.cos(np.radians(fine.theta_edges))
+    cosine = -np.diff(edges**3) / 3 / (-np.diff(edges**2) / 2)  # the bins' own averages
+    measurement.dataset["brdf"] *= xr.DataArray(cosine, dims="theta_o")
+    row = compare(measurement, Lambert(1.0)).table.squeeze()
+    assert row["l1"].item() == pytest.approx(1 / 3, rel=1e-4)  # 1 - 2/3
+    assert row["l2"].item() == pytest.approx(np.sqrt(1 - 4 / 3 + 1 / 2), rel=1e-3)
+    # Above a floor of a half: theta below 60 degrees.
+    row = compare(measurement, Lambert(1.0), floor=0.5).table.squeeze()
+    u = np.linspace(0.5, 1, 100_001)
+    exact = np.sqrt(np.average(np.log(u) ** 2, weights=u))
+    assert row["log_rms"].item() == pytest.approx(exact, rel=0.02)
+
+
+def test_the_significance_map_has_every_bin_and_the_worst_ones_are_named():
+    measurement = synthetic(noise=1e-3, theta_i=(0.0, 30.0), wavelengths=(450.0, 650.0))
+    spot = {"theta_i": 1, "phi_i": 0, "theta_o": 7, "dphi": 11, "wavelength": 1}
+    measurement.dataset["brdf"][{"order": 0, **spot}] *= 1.1
+    verdict = compare(measurement, TRUTH)
+    lobes = verdict.lobes
+    assert lobes["significance"].dims == ("theta_i", "phi_i", "theta_o", "dphi", "wavelength")
+    assert lobes["significance"].shape == (2, 1, *GRID.shape, 2)
+    here = lobes.isel(spot)
+    expected = (here["measured"] - here["model"]) / np.hypot(here["standard_error"], 1e-5 * here["model"])
+    assert here["significance"].item() == pytest.approx(expected.item(), rel=1e-9)
+    assert here["significance"].item() > 30
+    rest = lobes["significance"].where(lobes["significance"] < here["significance"])
+    assert rest.std().item() == pytest.approx(np.sqrt(15 / 13), rel=0.1)  # Student's t with 15
+    worst = verdict.worst_bins(3)
+    assert (worst[0]["theta_i"], worst[0]["theta_o"], worst[0]["dphi"], worst[0]["wavelength"]) == (
+        30.0,
+        GRID.theta[7],
+        GRID.dphi[11],
+        650.0,
+    )
+    assert worst[0]["measured"] / worst[0]["model"] == pytest.approx(1.1, rel=0.01)
+    assert worst[0]["share"] > worst[-1]["share"]
+
+
+def test_sparse_bins_share_the_significance_of_their_pool():
+    verdict = compare(poisson(1, photons=3000), TRUTH)
+    significance = verdict.lobes["significance"].values.ravel()
+    assert np.isfinite(significance).all()
+    assert np.count_nonzero(np.diff(significance)) == verdict.table["bins"].item() - 1
+
+
+def test_the_words_say_which_noise_it_is():
+    specimens = [compare(synthetic(seed=seed, realisations=8, noise=1e-4, common=0.02), TRUTH) for seed in range(5)]
+    words = [sentence for verdict in specimens for sentence in verdict.sentences()[1:]]
+    assert sum("above the Monte Carlo noise, within what specimens differ" in sentence for sentence in words) >= 3
+    assert compare(synthetic(), TRUTH).sentences()[2].endswith(": within the Monte Carlo noise.")
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A model that is known with a relative error only."""
+
+    error: float
+    order = "1"
+
+    def estimate(self, wi, detector, wavelengths, orders):
+        rng = np.random.default_rng(1)
+        exact = TRUTH.average(wi, detector, wavelengths)
+        value = exact * (1 + self.error * rng.standard_normal(exact.shape))
+        return np.stack([value] * (orders + 1)), np.stack([self.error * exact] * (orders + 1))
+
+    def albedo(self, wi, wavelengths, orders):
+        exact = TRUTH.average(wi, GRID, wavelengths).T @ GRID.projected_solid_angles()
+        return np.stack([exact] * (orders + 1)), np.stack([self.error * exact] * (orders + 1))
+
+
+def test_what_a_random_walk_does_not_know_is_noise_too():
+    row = compare(synthetic(noise=1e-4), Walk(error=0.02)).table.squeeze()
+    assert row["lobe"] == "noise"
+    assert row["chi2"].item() == pytest.approx(1.0, abs=0.25)
 
 
 # --- Shapes -----------------------------------------------------------------------------------------------------------

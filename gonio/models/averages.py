@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,6 +42,19 @@ class Function(Protocol):
 
     def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = ...) -> Array:
         """BRDF in 1/sr without the cosine, shape (..., W)."""
+        ...
+
+
+@runtime_checkable
+class RandomWalk(Protocol):
+    """A BRDF that is estimated, with a standard error; axis 0 of an estimate is all orders, then 1, 2 ..."""
+
+    def estimate(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike, orders: int) -> Estimate:
+        """Bin averages in 1/sr, (orders + 1, bins, W)."""
+        ...
+
+    def albedo(self, wi: ArrayLike, wavelengths: ArrayLike, orders: int) -> Estimate:
+        """Directional-hemispherical reflectance, (orders + 1, W)."""
         ...
 
 
