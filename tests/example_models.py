@@ -2,15 +2,18 @@
 
 from gonio.models import (
     GGX,
+    AshikhminShirley,
     Beckmann,
     CookTorrance,
     Lambert,
     Microfacet,
     Mixture,
+    OrenNayar,
     PoulinFournier,
     SmithCorrelated,
     SmithSeparable,
     VCavity,
+    Ward,
 )
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
 
@@ -38,6 +41,17 @@ MODELS = [
         material=Mirror(),
     ),
     PoulinFournier(local=Lambertian(0.9), distance=2.5, floor_height=0.2),
+    OrenNayar(0.0, 1.0),
+    OrenNayar(30.0, 0.95),
+    OrenNayar(50.0, 1.0, form="single"),
+    OrenNayar(40.0, 1.0, form="qualitative"),
+    Ward(alpha=0.1, specular=1.0),
+    Ward(alpha=1.0, specular=0.6, reflectance=0.4),
+    Ward(alpha_x=0.05, alpha_y=0.4, rotation=25.0, specular=0.7, reflectance=0.3),
+    AshikhminShirley(n=0.0, specular=1.0),
+    AshikhminShirley(n=1.0, specular=0.04, reflectance=1.0),
+    AshikhminShirley(n=300.0, specular=0.3, reflectance=1.0),
+    AshikhminShirley(n_u=10.0, n_v=1000.0, rotation=-15.0, specular=0.9, reflectance=0.5),
     PoulinFournier(local=CookTorrance(m=0.2, material=Mirror()), profile="grooves", groups=((0.4, 0.0), (0.6, 70.0))),
 ]
 """None of them creates energy; all of them are reciprocal functions."""

@@ -10,19 +10,26 @@ from typing import Annotated
 
 from pydantic import Field
 
+from gonio.models.ashikhmin_shirley import AshikhminShirley
 from gonio.models.cook_torrance import CookTorrance
 from gonio.models.distributions import GGX, Beckmann, Distribution, Mixture
 from gonio.models.lambert import Lambert
 from gonio.models.masking import Masking, SmithCorrelated, SmithSeparable, Unmasked, VCavity
 from gonio.models.microfacet import Microfacet
+from gonio.models.oren_nayar import OrenNayar
 from gonio.models.poulin_fournier import PoulinFournier
+from gonio.models.ward import Ward
 from gonio.optics import Material
 
-Model = Annotated[Lambert | CookTorrance | Microfacet | PoulinFournier, Field(discriminator="kind")]
+Model = Annotated[
+    Lambert | OrenNayar | CookTorrance | Microfacet | PoulinFournier | Ward | AshikhminShirley,
+    Field(discriminator="kind"),
+]
 """Every model there is."""
 
 __all__ = [
     "GGX",
+    "AshikhminShirley",
     "Beckmann",
     "CookTorrance",
     "Distribution",
@@ -31,15 +38,17 @@ __all__ = [
     "Microfacet",
     "Mixture",
     "Model",
+    "OrenNayar",
     "PoulinFournier",
     "SmithCorrelated",
     "SmithSeparable",
     "Unmasked",
     "VCavity",
+    "Ward",
     "matching",
 ]
 
-_FITTING = (Lambert, PoulinFournier, CookTorrance, Microfacet)
+_FITTING = (Lambert, OrenNayar, PoulinFournier, CookTorrance, Microfacet)
 """The models that follow from a specimen's statistics, material and recipe, in the order they are shown."""
 
 
