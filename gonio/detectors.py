@@ -118,6 +118,17 @@ class HemisphereGrid:
         count = len(ring)
         return wo.reshape(count, -1, 3), weight.reshape(count, -1)
 
+    def owners(self, wider: HemisphereGrid) -> NDArray[np.intp]:
+        """The bin of `wider` that each of our bins lies in, (bins,); a ValueError if one lies in several."""
+        if not all(
+            np.abs(np.subtract.outer(theirs, ours)).min(axis=1).max() < 1e-9
+            for theirs, ours in ((wider.theta_edges, self.theta_edges), (wider.dphi_edges[1:], self.dphi_edges))
+        ):
+            raise ValueError(f"{wider!r} does not consist of whole bins of {self!r}.")
+        ring = np.searchsorted(wider.theta_edges, self.theta, side="right") - 1
+        sector = np.floor(self.dphi / wider.phi_step + 0.5).astype(np.intp) % wider.shape[1]
+        return np.asarray(ring[:, None] * wider.shape[1] + sector).ravel()
+
     def edge_at(self, theta: float) -> bool:
         """Whether a ring edge lies on `theta` degrees, where rounding would split a mirror lobe."""
         edges = self.theta_edges[1:-1]

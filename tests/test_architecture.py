@@ -16,7 +16,7 @@ LEVELS = [
     {"gonio.campaign"},
     {"gonio.experiment", "gonio.validate"},
     {"gonio.report"},
-    {"gonio.plots", "gonio.appearance", "gonio.certificate"},
+    {"gonio.plots", "gonio.appearance", "gonio.certificate", "gonio.fitting"},
     {"gonio.compare"},
     {"gonio.formats"},
     {"gonio.goniometer"},
