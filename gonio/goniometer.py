@@ -284,6 +284,7 @@ def _attributes(goniometer: Goniometer, scene: Scene, seed: int, interrupted: bo
         "detector": TypeAdapter(Detector).dump_json(goniometer.detector).decode(),
         "material": TypeAdapter(type(scene.material)).dump_json(scene.material).decode(),
         "surface_statistics": json.dumps(scene.statistics.as_dict()),
+        "facets": json.dumps(scene.relief.facets.as_dict()),
         "isotropic": int(goniometer.azimuth == "average"),
         "interrupted": int(interrupted),
         "seed": str(seed),

@@ -22,6 +22,7 @@ from gonio.detectors import Apertures, Detector, HemisphereGrid
 from gonio.optics import Material
 from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z
 from gonio.tally import MAX_PATHS, UNIT, Wide
+from microsurfaces import Facets, Surface
 from microsurfaces.files import replacing
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ _WIDE = ("mc_scatter", "realisation_squares")
 _ADDITIVE = ("weight", "hits", "ledger", "paths", "realisations")
 _DETECTOR: TypeAdapter[Detector] = TypeAdapter(Detector)
 _MATERIAL: TypeAdapter[Material] = TypeAdapter(Material)
+_SURFACE: TypeAdapter[Surface] = TypeAdapter(Surface)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,8 @@ class Measurement:
     sums: xr.Dataset
     """Exact integer sums per incidence, in units of 2⁻³² path; the last bin is the whole hemisphere."""
     attributes: dict[str, Any]
-    """Provenance: goniometer, detector, material, surface_statistics (JSON), seed, versions, isotropic, interrupted."""
+    """Provenance: goniometer, detector, material, surface_statistics, facets (JSON), seed, versions, isotropic,
+    interrupted."""
 
     @functools.cached_property
     def dataset(self) -> xr.Dataset:
@@ -93,6 +96,18 @@ class Measurement:
         """Statistics of the measured relief, the mean over realisations."""
         statistics: dict[str, float | None] = json.loads(self.attributes["surface_statistics"])
         return statistics
+
+    @property
+    def surface(self) -> Surface | None:
+        """The recipe of the surface, of a measurement that an experiment made; None of any other."""
+        noted = self.attributes.get("experiment")
+        return None if noted is None else _SURFACE.validate_json(json.dumps(json.loads(noted)["surface"]))
+
+    @property
+    def facets(self) -> Facets | None:
+        """What the facets of the measured relief are like, the mean over realisations; None if it was not noted."""
+        noted = self.attributes.get("facets")
+        return None if noted is None else Facets.from_dict(json.loads(noted))
 
     def incidences(self) -> Iterator[tuple[float, float]]:
         """(theta_i, phi_i) in degrees of every incidence that was measured."""
@@ -242,7 +257,7 @@ def _added(a: xr.Dataset, b: xr.Dataset) -> xr.Dataset:
 
 
 def _merged_attributes(a: Measurement, b: Measurement) -> dict[str, Any]:
-    """Attributes of `a`, with surface statistics averaged over the realisations of both."""
+    """Attributes of `a`, with what is known of the surface averaged over the realisations of both."""
     first, second = a.surface_statistics, b.surface_statistics
     n, m = int(a.sums["realisations"].max()), int(b.sums["realisations"].max())
     mean = {
@@ -250,7 +265,10 @@ def _merged_attributes(a: Measurement, b: Measurement) -> dict[str, Any]:
         for key, value in first.items()
     }
     flags = {"isotropic": int(a.isotropic and b.isotropic), "interrupted": int(a.interrupted or b.interrupted)}
-    return {**a.attributes, **flags, "surface_statistics": json.dumps(mean)}
+    pooled = {"surface_statistics": json.dumps(mean)}
+    if a.facets is not None and b.facets is not None:
+        pooled["facets"] = json.dumps(a.facets.pooled(b.facets, n, m).as_dict())
+    return {**a.attributes, **flags, **pooled}
 
 
 def _labelled(sums: xr.Dataset, detector: Detector, attributes: dict[str, Any]) -> xr.Dataset:

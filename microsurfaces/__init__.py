@@ -10,7 +10,7 @@ from pydantic import Field
 
 from microsurfaces.files import HeightFieldFile, MeshFile, save_surface
 from microsurfaces.height_field import HeightField
-from microsurfaces.mesh import Mesh, Statistics
+from microsurfaces.mesh import Facets, Mesh, Statistics
 from microsurfaces.profiles import Cylinders, Flat, VGrooves
 from microsurfaces.random_fields import Gaussian
 
@@ -19,6 +19,7 @@ Surface = Annotated[Flat | Gaussian | Cylinders | VGrooves | HeightFieldFile | M
 
 __all__ = [
     "Cylinders",
+    "Facets",
     "Flat",
     "Gaussian",
     "HeightField",

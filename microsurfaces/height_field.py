@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from microsurfaces.mesh import (
+    Facets,
     Floats,
     Mesh,
     Statistics,
     height_fields,
     normal_density,
     read_only,
+    slope_cdf,
     slope_density,
     slope_moments,
 )
@@ -101,6 +104,25 @@ class HeightField:
         # Each edge bounds one lower and one upper facet, so that the mean over facets is the mean over edges.
         slopes = slope_moments(*(float(np.mean(self._edge_slopes(axis) ** 2)) for axis in (1, 0)))
         return Statistics(**heights, **slopes, **self._correlation_lengths())
+
+    @functools.cached_property
+    def facets(self) -> Facets:
+        """Fineness, tilt and curvature of the facets."""
+        p, q = self.slopes()
+        curvature = max(self._rms_curvature(axis) for axis in (1, 0))
+        return Facets(
+            triangles=p.size,
+            period=self.period,
+            spacing=self.spacing,
+            single_valued=True,
+            radius_of_curvature=1 / curvature if curvature > 0 else None,
+            slope_cdf=slope_cdf(p.ravel(), q.ravel()),
+        )
+
+    def _rms_curvature(self, axis: int) -> float:
+        """Root mean square of the second derivative along the axis, 1/µm."""
+        slope = self._edge_slopes(axis)
+        return float(np.sqrt(np.mean((slope - np.roll(slope, 1, axis=axis)) ** 2)) / self.spacing[1 - axis])
 
     def _correlation_lengths(self) -> dict[str, float | None]:
         if not np.ptp(self.heights):

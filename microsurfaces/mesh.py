@@ -5,9 +5,10 @@ Lengths are in µm. Faces run counter-clockwise seen from outside, that is, from
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,15 @@ Floats = NDArray[np.float64]
 _BLOCK = 1 << 14  # faces handled at a time: temporaries stay in the cache
 _WALL = 1e-9  # facets steeper than this cosine count as vertical
 _AREA_TOLERANCE = 1e-6  # relative: how exactly the faces must cover one period
+
+SLOPE_AZIMUTHS = (0.0, 45.0, 90.0, 135.0)
+"""Azimuths in degrees along which `Facets` keeps the distribution of the slopes."""
+
+_STEPS = np.outer(2.0 ** np.arange(-13, 7), (1.0, 1.5)).ravel()
+_FIRST = (1023 - 13) * 2 - 1  # exponent and first bit of the mantissa of the double before the first step
+
+SLOPES: Floats = np.concatenate([-_STEPS[::-1], _STEPS])
+"""Slopes at which that distribution is kept: two an octave from 2⁻¹³ to 96, downhill and uphill."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +63,60 @@ class Statistics:
     def as_dict(self) -> dict[str, float | None]:
         """Name to value, in the order of the fields; plain Python numbers, so that it goes into JSON."""
         return asdict(self)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Facets:
+    """What the facets of one period are like: how fine they are, how they are tilted, how far the surface is smooth.
+
+    `spacing` (µm along x and y) is the distance of the nodes of a height field, and for any other mesh the median over
+    its triangles of their shortest edge. `radius_of_curvature` (µm) is 1 / the rms second derivative of a height field,
+    along x or y, where that is larger; of a mesh with exact normals the smallest radius; None where there is none: a
+    plane, or edges. `slope_cdf` (4, 80) is the share of the plane in which the slope along `SLOPE_AZIMUTHS` is at most
+    `SLOPES`; what overhangs or stands upright is left out.
+    """
+
+    triangles: int
+    period: tuple[float, float]
+    spacing: tuple[float, float]
+    single_valued: bool
+    radius_of_curvature: float | None
+    slope_cdf: Floats
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, so that it goes into JSON; shares to nine decimals."""
+        return {**self.__dict__, "slope_cdf": self.slope_cdf.round(9).tolist()}
+
+    @classmethod
+    def from_dict(cls, table: Mapping[str, Any]) -> Self:
+        """From what `as_dict` made."""
+        (px, py), (dx, dy) = table["period"], table["spacing"]
+        cdf = np.asarray(table["slope_cdf"], np.float64)
+        return cls(**{**table, "period": (px, py), "spacing": (dx, dy), "slope_cdf": cdf})
+
+    def pooled(self, other: Facets, count: int, others: int) -> Facets:
+        """The mean of this over `count` specimens and of `other` over `others`."""
+        share = count / (count + others)
+        radii = self.radius_of_curvature, other.radius_of_curvature
+        return Facets(
+            triangles=self.triangles,
+            period=self.period,
+            spacing=self.spacing,
+            single_valued=self.single_valued and other.single_valued,
+            radius_of_curvature=None if None in radii else share * radii[0] + (1 - share) * radii[1],  # type: ignore[operator]
+            slope_cdf=share * self.slope_cdf + (1 - share) * other.slope_cdf,
+        )
+
+
+class SlopeLaw(NamedTuple):
+    """The distribution of the slopes that a recipe asks for along an azimuth, at given slopes, arrays of one shape."""
+
+    cdf: Floats
+    """Share of the plane with at most that slope."""
+    spread: Floats
+    """Standard deviation of that share from one tile to another."""
+    rounding: float
+    """How far any tile may be from it because its facets are flat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +173,22 @@ class Mesh:
         total = vectors[:, 2].sum()
         squares = (float(np.sum(vectors[:, k] ** 2 / vectors[:, 2]) / total) for k in (0, 1))
         return Statistics(**heights, **slope_moments(*squares))
+
+    @functools.cached_property
+    def facets(self) -> Facets:
+        """Fineness, tilt and curvature of the facets."""
+        vectors = self.area_vectors()
+        vectors = vectors[vectors[:, 2] > _WALL * _length(vectors)]
+        p, q = -vectors[:, 0] / vectors[:, 2], -vectors[:, 1] / vectors[:, 2]
+        edge = float(np.median(self._edges(self.vertices).min(axis=1)))
+        return Facets(
+            triangles=len(self.faces),
+            period=self.period,
+            spacing=(edge, edge),
+            single_valued=self.single_valued,
+            radius_of_curvature=self._smallest_radius(),
+            slope_cdf=slope_cdf(p, q, vectors[:, 2]),
+        )
 
     def slope_distribution(self, bins: int = 101, limit: float | None = None) -> tuple[Floats, Floats, Floats]:
         """Density of the facet slopes (p, q) = (dz/dx, dz/dy), weighted by area in the plane: P22, (bins, bins).
@@ -198,6 +278,18 @@ class Mesh:
         normals /= _length(normals)[:, None]
         return Mesh(self.vertices + (values[first][:, None] * normals)[points], self.faces, self.period)
 
+    def _edges(self, values: Floats) -> Floats:
+        """How far apart `values` (n, 3) are at the ends of every facet's edges, (m, 3)."""
+        corners = [values[corner] for corner in self.faces.T]
+        return np.stack([_length(b - a) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)], axis=1)
+
+    def _smallest_radius(self) -> float | None:
+        """Radius of curvature where the exact normals turn fastest; None where there are none or nothing turns."""
+        if self.vertex_normals is None:
+            return None
+        curvature = float((self._edges(self.vertex_normals) / self._edges(self.vertices)).max())
+        return 1 / curvature if curvature > 0 else None
+
     def _points(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """For each vertex the point of the periodic surface it lies on, and for each point its first vertex."""
         from scipy.sparse import coo_array
@@ -261,6 +353,21 @@ def height_fields(mean_abs: float, second: float, third: float, fourth: float) -
     Sq = float(np.sqrt(second))
     shape = (float(third / Sq**3), float(fourth / Sq**4)) if Sq > 0 else (None, None)
     return {"Sa": float(mean_abs), "Sq": Sq, "Ssk": shape[0], "Sku": shape[1]}
+
+
+def slope_cdf(p: Floats, q: Floats, weights: Floats | None = None) -> Floats:
+    """Share of the weight of slopes (p, q), arrays (m,), whose slope along `SLOPE_AZIMUTHS` is at most `SLOPES`."""
+    classes = len(_STEPS) + 1
+    sums = np.zeros((len(SLOPE_AZIMUTHS), 2 * classes))
+    for start in range(0, len(p), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        for row, azimuth in zip(sums, np.radians(SLOPE_AZIMUTHS), strict=True):
+            along = np.cos(azimuth) * p[block] + np.sin(azimuth) * q[block]
+            # The steps are where the exponent or the first bit of the mantissa changes.
+            index = np.clip((np.abs(along).view(np.int64) >> 51) - _FIRST, 0, classes - 1) + classes * (along < 0)
+            row += np.bincount(index, None if weights is None else weights[block], 2 * classes)
+    beyond = np.cumsum(sums.reshape(-1, 2, classes)[..., ::-1], axis=-1)[..., ::-1] / sums.sum(axis=1)[:, None, None]
+    return np.concatenate([beyond[:, 1, :0:-1], 1 - beyond[:, 0, 1:]], axis=1)
 
 
 def slope_density(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Literal
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from microsurfaces.height_field import HeightField
-from microsurfaces.mesh import Floats, Mesh
+from microsurfaces.mesh import Floats, Mesh, SlopeLaw
 from microsurfaces.recipe import Positive, recipe
 
 
@@ -28,6 +29,10 @@ class Flat:
     def build(self, seed: int) -> HeightField:
         """The plane, 2 x 2 nodes; the same for every seed."""
         return HeightField(np.zeros((2, 2)), (self.side / 2, self.side / 2))
+
+    def expected_slopes(self, azimuth: float, slopes: Floats) -> SlopeLaw:
+        """Distribution of the slopes along `azimuth`, degrees, at `slopes`: all of them are 0."""
+        return _both_ways(np.ones_like, azimuth, slopes, 0.0, 0.0)
 
 
 @recipe
@@ -80,10 +85,26 @@ class Cylinders:
         h = 1 - self.protrusion if self.protrusion is not None else self.floor_height or 0.0
         return float(min(np.arcsin(min(self.distance / 2, 1.0)), np.arccos(h)))
 
+    def expected_slopes(self, azimuth: float, slopes: Floats) -> SlopeLaw:
+        """Distribution of the slopes along `azimuth`, degrees, at `slopes`; facets are off by half a chord at most."""
+        edge = self.edge_angle()
+        level = max(0.0, self.distance - 2 * math.sin(edge))
+
+        def within(steepness: Floats) -> Floats:
+            """Share of the plane whose slope across the cylinders is at most that, either way."""
+            inside = np.minimum(np.sin(np.arctan(steepness)), math.sin(edge))
+            return np.asarray((level + 2 * inside) / (level + 2 * math.sin(edge)))
+
+        return _both_ways(within, azimuth, slopes, 0.0, edge / self._chords() / 2 / self.distance)
+
+    def _chords(self) -> int:
+        """Facets of half an arc."""
+        return max(8, math.ceil(self.chords * self.edge_angle() / np.pi))
+
     def build(self, seed: int) -> Mesh:
         """One period, the same for every seed."""
         edge = self.edge_angle()
-        angles = np.linspace(0, edge, max(8, math.ceil(self.chords * edge / np.pi)) + 1)
+        angles = np.linspace(0, edge, self._chords() + 1)
         flat = self.distance / 2 - math.sin(edge) > 1e-12  # else cusps: both arcs end in the very same line
         half = self.distance / 2 if flat else float(np.sin(angles)[-1])
         if self.profile == "ridges":
@@ -149,6 +170,22 @@ class VGrooves:
         vertices, _, faces = _extruded([profile], self.width, count)
         return Mesh(vertices, faces, (count * self.width,) * 2)
 
+    def expected_slopes(self, azimuth: float, slopes: Floats) -> SlopeLaw:
+        """Distribution of the slopes along `azimuth`, degrees, at `slopes`.
+
+        The slopes are stratified: however the distribution is cut, all but one of the grooves lie on a known side.
+        """
+        if self.m is None:
+            angle = math.tan(math.radians(self.angle or 0.0))
+            return _both_ways(lambda slope: np.where(slope < angle, 0.0, 1.0), azimuth, slopes, 0.0, 0.0)
+        m = self.m
+
+        def within(slope: Floats) -> Floats:
+            """Share of the grooves that are at most that steep."""
+            return np.where(slope < m * math.sqrt(-math.log(1e-4)), -np.expm1(-((slope / m) ** 2)), 1.0)
+
+        return _both_ways(within, azimuth, slopes, 1 / (4 * (self.grooves or 64)), 0.0)
+
     def _slopes(self, seed: int, strips: int) -> Floats:
         """tan of the facet angle of every groove of every strip, (strips, grooves).
 
@@ -162,6 +199,15 @@ class VGrooves:
         ranks = random.permuted(np.arange(count * strips).reshape(count, strips), axis=1).T
         u = np.minimum((ranks + random.random(ranks.shape)) / ranks.size, 1 - 1e-4)
         return random.permuted(self.m * np.sqrt(-np.log1p(-u)), axis=1)
+
+
+def _both_ways(
+    within: Callable[[Floats], Floats], azimuth: float, slopes: Floats, spread: float, rounding: float
+) -> SlopeLaw:
+    """The law of a profile along y that rises as often as it falls, `within` being the law of its steepness."""
+    steepness = np.abs(slopes) / max(abs(math.cos(math.radians(azimuth))), 1e-9)
+    cdf = (1 + np.where(slopes < 0, -1, 1) * within(np.minimum(steepness, 1e9))) / 2
+    return SlopeLaw(cdf, np.full(slopes.shape, spread), rounding)
 
 
 def _arc(centre: float, angles: Floats, sign: int) -> Floats:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from microsurfaces.height_field import HeightField
-from microsurfaces.mesh import Floats
+from microsurfaces.mesh import Floats, SlopeLaw
 from microsurfaces.recipe import Positive, recipe
 
 
@@ -72,15 +73,19 @@ class Gaussian:
 
     def covariance(self) -> Floats:
         """Covariance of the heights of two nodes by their offset, (samples, samples) µm², summed over all periods."""
+        offsets: Floats = np.fft.fftfreq(self.samples).astype(np.float64) * self.side
+        return self._covariance_at(offsets, offsets[:, None])
+
+    def _covariance_at(self, x: Floats, y: Floats) -> Floats:
+        """Covariance of the heights of two points by their offset within half a period, µm²."""
         sigma, tau_x, tau_y = self._axes()
         c, s = np.cos(np.radians(self.rotation)), np.sin(np.radians(self.rotation))
-        offsets = np.fft.fftfreq(self.samples) * self.side
         images = int(np.ceil(6.5 * max(tau_x, tau_y) / self.side - 0.5))  # exp(-6.5²) is below machine epsilon
-        total = np.zeros((self.samples, self.samples))
+        total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
         for shift_x in np.arange(-images, images + 1) * self.side:
             for shift_y in np.arange(-images, images + 1) * self.side:
-                x, y = offsets + shift_x, (offsets + shift_y)[:, None]
-                total += np.exp(-(((c * x + s * y) / tau_x) ** 2) - ((c * y - s * x) / tau_y) ** 2)
+                u, v = x + shift_x, y + shift_y
+                total += np.exp(-(((c * u + s * v) / tau_x) ** 2) - ((c * v - s * u) / tau_y) ** 2)
         return sigma**2 * total
 
     def build(self, seed: int) -> HeightField:
@@ -91,3 +96,56 @@ class Gaussian:
         heights = np.fft.irfft2(np.fft.rfft2(noise) * np.sqrt(spectrum), s=noise.shape)
         step = self.side / self.samples
         return HeightField(heights, (step, step))
+
+    def expected_slopes(self, azimuth: float, slopes: Floats) -> SlopeLaw:
+        """Distribution of the facets' slopes along `azimuth`, degrees, at `slopes`, exact for the mesh.
+
+        Both kinds of facets, of falling and of rising diagonals, have Gaussian slopes, of different variance where
+        `azimuth` lies between the axes.
+        """
+        from scipy.special import ndtr
+
+        c, s = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))
+        falling, rising = np.sqrt(self._slope_variances(c, s))
+        share = (self.samples**2 + 1) // 2 / self.samples**2
+        cdf = share * ndtr(slopes / falling) + (1 - share) * ndtr(slopes / rising)
+        spread = self._spread(c, s, slopes / np.sqrt((falling**2 + rising**2) / 2))
+        return SlopeLaw(cdf, spread, 0.0)
+
+    def _slope_variances(self, c: float, s: float) -> tuple[float, float]:
+        """Variance of c dz/dx + s dz/dy on facets of cells with falling and with rising diagonals."""
+        step = self.side / self.samples
+        offsets = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (1, -1)]) * step
+        node, x, y, up, down = self._covariance_at(*offsets.T) / step**2
+        both = c**2 * 2 * (node - x) + s**2 * 2 * (node - y)
+        return float(both + 2 * c * s * (node - x - y + down)), float(both + 2 * c * s * (x + y - node - up))
+
+    def _spread(self, c: float, s: float, scores: Floats) -> Floats:
+        """Standard deviation, from tile to tile, of the share of slopes below `scores` standard deviations.
+
+        The covariance of "slope < u" at two points whose slopes have the correlation rho is, u being the same for both,
+        the integral of exp(-u²/(1 + sin t)) / 2π over t from 0 to asin(rho) (Sheppard); the mean over all pairs of
+        points is the variance. The correlation is that of a smaller tile of the same kind, wide enough to hold it.
+        """
+        patch = self._patch()
+        n, waves = patch.samples, np.fft.fftfreq(patch.samples) * 2 * np.pi
+        gradient = c * (np.exp(1j * waves) - 1) + s * (np.exp(1j * waves[:, None]) - 1)
+        correlation = np.fft.ifft2(np.fft.fft2(patch.covariance()).real * np.abs(gradient) ** 2).real
+        angles = np.arcsin(np.clip(correlation / correlation[0, 0], -1, 1)).ravel()
+        # Every angle is shared between two nodes of a grid, on which the integral is known.
+        half = 256
+        place = (angles / np.pi + 0.5) * 2 * half
+        below = np.minimum(place.astype(np.intp), 2 * half - 1)
+        pairs = sum(np.bincount(below + k, np.abs(1 - k - place + below), 2 * half + 1) for k in (0, 1))
+        middles = (np.arange(2 * half) + 0.5 - half) * np.pi / (2 * half)
+        steps = np.exp(-(scores[..., None] ** 2) / (1 + np.sin(middles))) / (4 * half)
+        integral = np.concatenate([np.zeros((*scores.shape, 1)), np.cumsum(steps, axis=-1)], axis=-1)
+        variance = (integral - integral[..., half : half + 1]) @ pairs / n**2
+        return np.asarray(np.sqrt(np.maximum(variance, 0)) * patch.side / self.side)
+
+    def _patch(self) -> Gaussian:
+        """A tile of up to 12 correlation lengths with at least 8 nodes in each, as far as this one has them."""
+        _, tau_x, tau_y = self._axes()
+        side = float(min(self.side, 12 * max(tau_x, tau_y)))
+        step = max(self.side / self.samples, min(tau_x, tau_y) / 8)
+        return replace(self, side=side, samples=min(1024, max(2, round(side / step))))
