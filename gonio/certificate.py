@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +91,26 @@ class Certificate:
     def sentences(self) -> list[str]:
         """A line for each check: its name, how it ended, what was found."""
         return [f"{check.name}, {check.status}: {check.sentence}" for check in self.checks]
+
+    def summary(self) -> list[str]:
+        """How many checks ended how, and a line for each that did not pass."""
+        count = {status: sum(check.status == status for check in self.checks) for status in get_args(Status)}
+        found = ", ".join(f"{count[status]} {status}" for status in ("passed", "failed", "not applicable"))
+        warnings = f"{count['warning']} warning{'s' * (count['warning'] != 1)}"
+        wrong = [check for check in self.checks if check.status in ("failed", "warning")]
+        return [
+            f"Certificate: {len(self.checks)} checks, {found}, {warnings}.",
+            *(f"{check.name}, {check.status}: {check.sentence}" for check in wrong),
+        ]
+
+    def to_json(self) -> str:
+        """As it goes with a measurement into its file."""
+        return json.dumps([check.__dict__ for check in self.checks])
+
+    @classmethod
+    def from_json(cls, text: str) -> Certificate:
+        """From what `to_json` made."""
+        return cls(tuple(Check(**check) for check in json.loads(text)))
 
 
 def certify(measurement: Measurement, stored: xr.Dataset | None = None) -> Certificate:

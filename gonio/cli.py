@@ -1,4 +1,4 @@
-"""The command line: `gonio run | surface | compare | plot | export | list`. The only file that prints or exits.
+"""The command line: `gonio run | surface | compare | fit | check | validate ...`. The only file that prints or exits.
 
 Everything heavy is imported inside the command that needs it, so that `gonio --help` answers at once.
 Exit codes: 0 done, 1 failed while running, 2 bad input, told in one sentence for each mistake.
@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import math
 import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -303,91 +302,26 @@ def _say(text: str, style: str | None = None) -> None:
 
 
 def _report(measurement: Measurement, models: Sequence[Model], meter: _Meter, seconds: float) -> None:
-    """What was measured, in two tables, and how well the models do."""
-    _show("Albedo, the share of the light that comes back, ± standard error", _albedo_table(measurement))
-    _show("Orders of scattering in the reflected light, and what did not come back", _energy_table(measurement))
+    """What was measured, in two tables, how far it may be trusted, and how well the models do."""
+    from gonio import tables
+    from gonio.certificate import Certificate
+
+    _show("Albedo, the share of the light that comes back, ± standard error", tables.albedo(measurement))
+    _show("Orders of scattering in the reflected light, and what did not come back", tables.energy(measurement))
     paths = int(measurement.dataset["paths"].sum())
     _say(f"{paths / 1e6:.3g} M paths in {seconds:.1f} s; while tracing, {_rate(meter.rate)}.")
     if not models and int(measurement.dataset["realisations"].max()) == 1:
         _say("One specimen was measured: the errors are its Monte Carlo noise, other specimens may differ by more.")
     _judge(measurement, models)
+    for sentence in Certificate.from_json(measurement.attributes["certificate"]).summary():
+        _say(sentence)
 
 
-def _albedo_table(measurement: Measurement) -> Table:
-    """Albedo with its standard error for every incidence and up to three wavelengths."""
-    dataset = measurement.albedo()
-    wavelengths = dataset["wavelength"].values
-    count = min(len(wavelengths), 3)
-    chosen = [round(i * (len(wavelengths) - 1) / max(count - 1, 1)) for i in range(count)]
-    table = _incidence_table()
-    for i in chosen:
-        table.add_column(f"{wavelengths[i]:g} nm", justify="right")
-    for theta, phi in measurement.incidences():
-        here = dataset.sel(theta_i=theta, phi_i=phi)
-        values, errors = here["albedo"].values, here["standard_error"].values
-        table.add_row(_incidence(theta, phi), *(_with_error(values[i], errors[i]) for i in chosen))
-    if count < len(wavelengths):
-        table.caption = f"{count} of {len(wavelengths)} wavelengths; all are in measurement.nc"
-    return table
-
-
-def _energy_table(measurement: Measurement) -> Table:
-    """Orders of scattering and the ledger, means over the wavelengths."""
-    albedo, ledger = measurement.dataset["albedo"].mean("wavelength"), measurement.ledger().mean("wavelength")
-    table = _incidence_table()
-    orders = albedo["order"].values[1:]
-    for order in orders:
-        hits = f"{order[:-1]} or more" if order.endswith("+") else f"{order} hit{'s' * (order != '1')}"
-        table.add_column(hits, justify="right")
-    for heading in ("absorbed", "lost or truncated"):
-        table.add_column(heading, justify="right")
-    for theta, phi in measurement.incidences():
-        here, fate = albedo.sel(theta_i=theta, phi_i=phi), ledger.sel(theta_i=theta, phi_i=phi)
-        total = float(here.sel(order="all")) or 1.0
-        shares = [float(here.sel(order=order)) / total for order in orders]
-        missing = float(fate["lost"] + fate["truncated"])
-        table.add_row(
-            _incidence(theta, phi),
-            *(f"{share:.2%}" for share in (*shares, float(fate["absorbed"]))),
-            f"{missing:.1e}" if missing else "0",
-        )
-    return table
-
-
-def _incidence_table() -> Table:
-    """A table whose first column says where the light comes from."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, caption_justify="left")
-    table.add_column("light from", justify="right", no_wrap=True)
-    return table
-
-
-def _incidence(theta: float, phi: float) -> str:
-    return f"{theta:g}°, {phi:g}°"
-
-
-def _show(title: str, table: Table) -> None:
-    """Print a table under its title."""
-    _say(title, style="bold")
-    _console().print(table)
-
-
-def _with_error(value: float, error: float) -> str:
-    """A value with as many digits as its standard error allows."""
-    if not error >= 5e-7:
-        return f"{value:.6f} ± {error:.0g}"
-    decimals = min(max(1 - math.floor(math.log10(error)), 0), 6)
-    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
-
-
-def _concise(value: float, error: float) -> str:
-    """A value with the standard error of its last two digits in brackets, as metrologists write it."""
-    if not error >= 5e-8:
-        return f"{value:.6f}"
-    decimals = max(1 - math.floor(math.log10(error)), 0)
-    return f"{value:.{decimals}f}({error * 10**decimals:.0f})"
+def _show(title: str, table: Table | None) -> None:
+    """Print a table under its title; nothing if there is none."""
+    if table is not None:
+        _say(title, style="bold")
+        _console().print(table)
 
 
 def _models(measurement: Measurement, names: Sequence[str] | None) -> tuple[tuple[Model, ...], tuple[str, ...]]:
@@ -400,49 +334,30 @@ def _models(measurement: Measurement, names: Sequence[str] | None) -> tuple[tupl
         return (), error.sentences
 
 
-def _judge(measurement: Measurement, models: Sequence[Model]) -> None:
-    """Print how each model compares with single scattering as measured, and what is noise and what is not."""
+def _judge(
+    measurement: Measurement, models: Sequence[Model], every_wavelength: bool = False, floor: float = 0.01
+) -> list[Verdict]:
+    """Print how each model compares with the light it speaks of, and what is noise and what is not."""
+    from gonio import tables
     from gonio.compare import compare
 
-    verdicts = [compare(measurement, model) for model in models]
+    verdicts = []
+    for model in models:
+        with _working(f"comparing with {tables.name_of(model)}"):
+            verdicts.append(compare(measurement, model, floor))
     for verdict in verdicts:
-        _show(f"{_short(verdict.model)} against the light of one hit", _verdict_table(verdict))
+        heading = f"{tables.name_of(verdict.model)} against {tables.light(verdict.order)}"
+        _show(heading, tables.verdict(verdict, every_wavelength))
     if verdicts:
         _say(
-            "Of every incidence the wavelength whose albedo differs most; in brackets the standard error of its last "
+            ("" if every_wavelength else "Of every incidence the wavelength whose albedo differs most; ")
+            + "in brackets the standard error of its last "
             "digits. L1: how far the lobes differ, and how far noise alone would make them. Differs: noise does not "
             "explain it; unclear: specimens that move the whole lobe could; more realisations would tell."
         )
         for sentence in verdicts[0].preamble():
             _say(sentence)
-
-
-def _short(model: Model) -> str:
-    """A model's name, and that of its masking where it has one."""
-    masking = getattr(model, "masking", None)
-    parts = [type(part).__name__ for part in (getattr(model, "distribution", None), masking) if part is not None]
-    return type(model).__name__ + (f" ({', '.join(parts)})" if parts else "")
-
-
-def _verdict_table(verdict: Verdict) -> Table:
-    """Albedo and lobe of a model, each with its verdict, one row an incidence."""
-    table = _incidence_table()
-    for heading in ("nm", "albedo", "model", "verdict", "L1", "noise", "verdict"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in verdict.worst_rows():
-        measured, model = float(row["albedo_measured"]), float(row["albedo_model"])
-        difference = f"{model / measured - 1:+.2%}" if measured else "-"
-        table.add_row(
-            _incidence(row["theta_i"], row["phi_i"]),
-            f"{row['wavelength']:g}",
-            _concise(measured, float(row["albedo_standard_error"])),
-            difference,
-            "differs" if row["albedo_differs"] else "noise",
-            f"{row['l1']:.1%}",
-            f"{row['l1_noise']:.1%}",
-            str(row["lobe"]),
-        )
-    return table
+    return verdicts
 
 
 # --- surface ---------------------------------------------------------------------------------------------------------
@@ -473,6 +388,7 @@ def surface(
     show
         Open a window with the surface.
     """
+    from gonio import tables
     from gonio.experiment import InputError
     from microsurfaces.files import save_surface
 
@@ -484,7 +400,7 @@ def surface(
             save_surface(relief, output)
         except ValueError as error:
             raise InputError(str(error)) from None
-    _show("Statistics of the surface, measured on its facets", _statistics_table(relief.statistics().as_dict()))
+    _show("Statistics of the surface, measured on its facets", tables.statistics(relief.statistics().as_dict()))
     if output is not None:
         print(f"Saved as {output}")
     if show:
@@ -509,35 +425,262 @@ def _experiment(config: Path, overrides: Sequence[str], seed: int | None) -> Exp
     return Experiment.read(config, (*overrides, *(() if seed is None else (f"seed={seed}",))))
 
 
-def _statistics_table(statistics: Mapping[str, float | None]) -> Table:
-    """Name and value of each statistic."""
-    from rich.table import Table
-
-    table = Table.grid(padding=(0, 2))
-    for name, value in statistics.items():
-        unit = " µm" if name in ("Sa", "Sq") or name.startswith("correlation") else ""
-        table.add_row(name, "not defined" if value is None else f"{value:.5g}{unit}")
-    return table
-
-
-# --- compare, plot, export -------------------------------------------------------------------------------------------
+# --- compare, fit ----------------------------------------------------------------------------------------------------
 
 
 @app.command
-def compare(file: Path, /, *, models: ModelNames = ()) -> None:
-    """Compare a measurement with closed-form models, whose roughness is the one measured on the surface.
+def compare(
+    file: Path,
+    /,
+    *,
+    models: ModelNames = (),
+    all: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    floor: float = 0.01,
+    output: Output = None,
+) -> None:
+    """Compare a measurement with closed-form models, bin by bin, and tell noise from difference.
+
+    A model is a name, with settings if need be; what is not said is the
+    specimen's: its material, and the roughness measured on its facets.
+
+      --model cook-torrance
+      --model "cook-torrance m=0.35 k_d=0.1"
+      --model "microfacet distribution.kind=GGX masking.kind=VCavity"
+      --model models.toml     with tables [[model]]
 
     Parameters
     ----------
     file
         The measurement, a .nc file.
     models
-        Name of a model, as often as needed; those that fit the material if not given.
+        A model, as often as needed; those that fit the material if not given.
+    all
+        Show every wavelength, not only the one that differs most.
+    floor
+        Share of a lobe's peak below which logarithms are not compared.
+    output
+        Folder for MODEL.nc, every number and every bin of the comparison, and MODEL.png, maps of the difference.
     """
-    from gonio.experiment import models_for
+    from gonio import tables
+    from gonio.experiment import InputError, models_for
+
+    if not 0.0 <= floor < 1.0:
+        raise InputError(f"--floor {floor:g}: must be 0 or more and less than 1, a share of the peak.")
+    measurement = _load(file)
+    verdicts = _judge(measurement, models_for(measurement, models or None), all, floor)
+    for verdict in verdicts:
+        _show(f"{tables.name_of(verdict.model)}, other measures of the lobe", tables.metrics(verdict, all))
+        _show("The bins that add most to L1, beyond doubt (3 standard errors)", tables.worst_bins(verdict))
+    if verdicts:
+        _say(
+            f"L2: root mean square over projected solid angle. log-RMS: of ln(measured / model) above {floor:g} of "
+            "the peak; 0.1 is a typical factor of 1.1. chi2: mean square in standard errors, 1 if there is nothing "
+            "but noise; MC: with Monte Carlo noise alone. Noise leaves 5 % of the bins outside their interval."
+        )
+        for verdict in verdicts:
+            _say(f"{tables.name_of(verdict.model)}: {verdict.conclusion()}")
+    if len(verdicts) > 1:
+        _show("All models, the best lobe first", tables.ranking(verdicts))
+    if output is not None:
+        _make_writable(output)
+        for path in _save_verdicts(measurement, verdicts, output):
+            print(path)
+
+
+def _save_verdicts(measurement: Measurement, verdicts: Sequence[Verdict], folder: Path) -> Iterator[Path]:
+    """Write the numbers and the maps of every verdict; the files."""
+    from gonio import plots
+
+    for number, verdict in enumerate(verdicts, 1):
+        name = type(verdict.model).__name__
+        unique = sum(type(other.model).__name__ == name for other in verdicts) == 1
+        stem = folder / (name if unique else f"{name}-{number}")
+        try:
+            yield verdict.save(stem.with_suffix(".nc"))
+            yield plots.difference(measurement, verdict, stem.with_suffix(".png"))
+        except OSError as error:
+            raise RunError(f"{folder} cannot be written ({_reason(error)}).") from None
+
+
+@app.command
+def fit(
+    file: Path,
+    /,
+    *,
+    models: ModelNames,
+    free: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    theta_i: Annotated[tuple[float, ...], Parameter(negative="", show_default=False)] = (),
+    wavelength: Annotated[tuple[float, ...], Parameter(negative="", show_default=False)] = (),
+    output: Output = None,
+) -> None:
+    """Adjust models to a measurement: parameters with 95 % intervals, and which model does best.
+
+    Intervals include the noise and the misfit of a model that is not the
+    truth. Several models are ranked by Akaike's information criterion.
+
+      --model cook-torrance
+      --model "cook-torrance k_d=0.1 k_s=0.9" --free m --free k_d
+
+    Parameters
+    ----------
+    file
+        The measurement, a .nc file.
+    models
+        A model, as often as needed, with settings where the fit starts or what stays as it is.
+    free
+        What is adjusted, such as m, k_d, distribution.alpha, material.eta; each model's roughness if not given.
+    theta_i
+        Fit these incidences only, degrees.
+    wavelength
+        Fit these wavelengths only, nm.
+    output
+        A TOML file for the fitted models; gonio compare --model reads it.
+    """
+    from gonio import tables
+    from gonio.experiment import InputError, models_for, write_models
+    from gonio.fitting import fit as fitted
+    from gonio.fitting import rank
 
     measurement = _load(file)
-    _judge(measurement, models_for(measurement, models or None))
+    if output is not None:
+        _make_writable(output.parent)
+    fits, mistakes = [], []
+    for model in models_for(measurement, models, to_fit=True):
+        with _working(f"fitting {tables.name_of(model)}"):
+            try:
+                fits.append(fitted(measurement, model, free or None, theta_i or None, wavelength or None))
+            except ValueError as error:
+                mistakes.append(str(error))
+    if mistakes:
+        raise InputError(*mistakes)
+    for found in fits:
+        _show(f"{tables.name_of(found.model)}, fitted to {tables.light(found.order)}", tables.parameters(found))
+        _show("Correlations", tables.correlations(found))
+        for sentence in found.remarks():
+            _say(sentence)
+    for order in dict.fromkeys(found.order for found in fits):
+        alike = [found for found in fits if found.order == order]
+        if len(alike) > 1:
+            _show(f"Models of {tables.light(order)}, the best first", tables.ranked(rank(alike)))
+            _say(
+                "QAICc: Akaike's information criterion, lower is better; its uncertainty is how blocks of bins "
+                "disagree about the difference."
+            )
+    if output is not None:
+        try:
+            print(write_models([found.model for found in fits], output))
+        except OSError as error:
+            raise RunError(f"{output} cannot be written ({_reason(error)}).") from None
+
+
+# --- check, validate -------------------------------------------------------------------------------------------------
+
+
+@app.command
+def check(file: Path, /) -> None:
+    """Recompute the certificate of a measurement: energy, bookkeeping, reciprocity, facets, settings.
+
+    Exit code 1 if a check fails. A warning says where the settings limit what
+    may be concluded.
+
+    Parameters
+    ----------
+    file
+        The measurement, a .nc file.
+    """
+    from gonio import tables
+    from gonio.certificate import certify_file
+    from gonio.experiment import InputError
+
+    try:
+        certificate = certify_file(file)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    _show(f"Certificate of {file}", tables.checks(certificate))
+    _say(certificate.summary()[0])
+    if not certificate.passed:
+        failed = [one.name for one in certificate.checks if one.status == "failed"]
+        raise RunError(f"{file} fails: {', '.join(failed)}. Do not use its numbers.")
+
+
+@app.command
+def validate(
+    *,
+    quick: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    case: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    output: Output = None,
+) -> None:
+    """Measure surfaces whose reflection is known exactly, and judge the instrument by them.
+
+    Exit code 1 if a law fails. Seeds are fixed: it gives the same rows again.
+
+    Parameters
+    ----------
+    quick
+        Smaller surfaces and fewer paths: about two minutes.
+    case
+        Only the cases whose name contains this, as often as needed.
+    output
+        A Markdown file for the table.
+    """
+    from gonio import tables
+    from gonio.experiment import InputError
+    from gonio.validate import CASES, markdown
+    from gonio.validate import run as measured
+    from microsurfaces.files import replacing
+
+    if output is not None:
+        _make_writable(output.parent)
+    names = [one.name for one in CASES if not case or any(part.lower() in one.name.lower() for part in case)]
+    if not names:
+        raise InputError(f"--case {' '.join(case)}: no such case; they are {'; '.join(one.name for one in CASES)}.")
+    started = time.monotonic()
+    with _cases() as meter:
+        rows = measured(quick, names, meter)
+    _show("Ground truth", tables.validation(rows))
+    failures = sum(row.verdict == "FAILS" for row in rows)
+    _say(
+        f"{len(rows)} numbers in {time.monotonic() - started:.0f} s, {failures} fail. Scores are Student's t, the "
+        "excess of chi2 per bin in units of its scatter, or a difference that has a stated bound; 'rejected' are wrong "
+        "formulas that the same test must see through."
+    )
+    if output is not None:
+        with replacing(output) as path:
+            path.write_text(markdown(rows), encoding="utf-8")
+        print(output)
+    if failures:
+        raise RunError(f"{failures} of {len(rows)} numbers are not as they should be.")
+
+
+@contextlib.contextmanager
+def _working(words: str) -> Iterator[None]:
+    """Say on a terminal what takes a while."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    with Console(stderr=True).status(words):
+        yield
+
+
+@contextlib.contextmanager
+def _cases() -> Iterator[Callable[[str, float], None]]:
+    """A bar on a terminal, a line a case elsewhere, both on stderr."""
+    if not sys.stderr.isatty():
+
+        def show(name: str, share: float) -> None:
+            _complain(0, f"{share:4.0%} {name}")
+
+        yield show
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("compiling", total=1.0)
+        yield lambda name, share: bar.update(task, completed=share, description=name)
+
+
+# --- plot, export ---------------------------------------------------------------------------------------------------
 
 
 @app.command

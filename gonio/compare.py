@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from gonio.measurement import Measurement
 from gonio.models import Model
 from gonio.models.averages import TOLERANCE, Estimate, RandomWalk
 from gonio.sphere import Vectors, direction
+from microsurfaces.files import replacing
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -109,6 +111,39 @@ class Verdict:
         )
         return [scope, beam]
 
+    def conclusion(self) -> str:
+        """Whether the model may be trusted, in one sentence: below which noise the disagreement is, or how large."""
+        rows = self.rows()
+        differs = [row for row in rows if row["albedo_differs"] or row["lobe"] == "differs"]
+        if differs:
+            worst = max(differs, key=_albedo_ratio)
+            off = f"off by up to {worst['albedo_bias']:+.2%}" if worst["albedo_measured"] else "not 0"
+            lobes = [row["l1"] - row["l1_noise"] for row in differs if row["lobe"] == "differs"]
+            lobe = f", its lobe by up to {_percent(max(lobes))} (L1) beyond noise" if lobes else ""
+            return (
+                f"noise does not explain the difference at {len(differs)} of {len(rows)} incidences and wavelengths; "
+                f"its albedo is {off} (theta_i {worst['theta_i']:g}, {worst['wavelength']:g} nm){lobe}."
+            )
+        albedo = max(2.0 * row["albedo_standard_error"] / max(row["albedo_measured"], 1e-300) for row in rows)
+        lobe = max(row["l1_noise"] for row in rows)
+        level = f"{_percent(albedo)} of the albedo (two standard errors) and {_percent(lobe)} of the lobe (L1)"
+        if any(row["lobe"] == "unclear" for row in rows):
+            return f"specimens differ too much to tell; more realisations would. They limit it to {level}."
+        within_mc = all(row["albedo_within_mc"] and row["lobe_within_mc"] for row in rows)
+        noise = "the Monte Carlo noise" if within_mc else "the noise of specimens, though not of Monte Carlo"
+        return f"the disagreement is below {noise}, which is up to {level}."
+
+    def save(self, path: str | Path) -> Path:
+        """Write `table` and `lobes` as two groups of one netCDF file; it appears whole or not at all."""
+        path = Path(path)
+        about = {"model": repr(self.model), "order": self.order, "scope": self.scope, "floor": self.floor}
+        with replacing(path) as temporary:
+            # netCDF knows no truth values.
+            flags = {name: variable.astype("int8") for name, variable in self.table.items() if variable.dtype == bool}
+            self.table.assign_attrs(about).assign(flags).to_netcdf(temporary, engine="h5netcdf", group="table")
+            self.lobes.assign_attrs(about).to_netcdf(temporary, engine="h5netcdf", group="lobes", mode="a")
+        return path
+
     def rows(self) -> list[dict[str, Any]]:
         """One row of `table` an incidence and wavelength; `several` tells which of the coordinates vary."""
         several = {name: self.table.sizes[name] > 1 for name in ("phi_i", "wavelength")}
@@ -130,13 +165,14 @@ class Verdict:
     def worst_bins(self, count: int = 5) -> list[dict[str, float]]:
         """The `count` bins that add most to the L1 differences beyond doubt (3 standard errors), the largest first.
 
-        Each has its coordinates, `measured`, `standard_error`, `model` (1/sr), `significance` (standard errors) and
-        `share` of the incidence's L1 difference.
+        Of every bin the wavelength that differs most. Each has its coordinates, `measured`, `standard_error`, `model`
+        (1/sr), `significance` (standard errors) and `share` of the incidence's L1 difference.
         """
         difference = abs(self.lobes["measured"] - self.lobes["model"]) * self.lobes["projected_solid_angle"]
         bins = [name for name in difference.dims if name not in self.table.dims]
         share = difference / difference.sum(bins)
         doubtless = share.where(abs(self.lobes["significance"]) > 3.0, 0.0).fillna(0.0)
+        doubtless = doubtless.where(doubtless["wavelength"] == doubtless.idxmax("wavelength"), 0.0)
         order = np.argsort(doubtless.values, axis=None)[::-1][:count]
         rows = []
         for index in zip(*np.unravel_index(order, doubtless.shape), strict=True):

@@ -15,14 +15,17 @@ import numpy as np
 import tomli_w
 from pydantic import Field, TypeAdapter, ValidationError, field_validator, model_validator
 
+from gonio.certificate import certify
 from gonio.goniometer import Goniometer, Progress
 from gonio.measurement import Measurement
 from gonio.models import Model, matching
+from gonio.models.specimen import Specimen, model_class
 from gonio.optics import Conductor, Dielectric, Material
 from gonio.scene import Scene
 from gonio.tally import MAX_PATHS
 from microsurfaces import HeightField, Mesh, Surface, VGrooves
-from microsurfaces.recipe import did_you_mean, members, recipe, sentences
+from microsurfaces.files import replacing
+from microsurfaces.recipe import from_toml, recipe, sentences
 
 
 class InputError(ValueError):
@@ -62,7 +65,7 @@ class Experiment:
     @classmethod
     def _known_models(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
         for name in names or ():
-            _model_class(name)
+            model_class(name)
         return names
 
     @model_validator(mode="after")
@@ -79,7 +82,7 @@ class Experiment:
             )
         for name in self.compare or ():
             try:
-                _model_of(name, {"beckmann_alpha": 1.0}, self.material)
+                Specimen({"beckmann_alpha": 1.0}, self.material, self.surface).described(name)
             except ValueError as error:
                 raise ValueError(f"compare = {list(self.compare or ())}: {error}") from None
         return self
@@ -92,7 +95,7 @@ class Experiment:
         each mistake.
         """
         path = Path(path)
-        table = _read_toml(path)
+        table = _read_toml(path, "an experiment needs at least the tables [surface] and [material]")
         mistakes = [sentence for override in overrides for sentence in _override(table, override)]
         _resolve_paths(table, path.absolute().parent)
         try:
@@ -161,7 +164,7 @@ class Experiment:
         return self._described(merged, merged.interrupted)
 
     def _described(self, measurement: Measurement, interrupted: bool) -> Measurement:
-        """The measurement with its provenance: this experiment, the versions and the processor that made it."""
+        """The measurement with its provenance (this experiment, what made it) and its certificate."""
         provenance = {
             "title": self.title or measurement.attributes["title"],
             "experiment": json.dumps(self.to_dict()),
@@ -169,7 +172,9 @@ class Experiment:
             "instruction_set": _instruction_set(),
             "interrupted": int(interrupted),
         }
-        return replace(measurement, attributes=measurement.attributes | provenance)
+        described = replace(measurement, attributes=measurement.attributes | provenance)
+        certificate = {"certificate": certify(described).to_json()}
+        return replace(described, attributes=described.attributes | certificate)
 
     def _seed(self, purpose: str, realisation: int = 0) -> int:
         """A 64-bit seed that depends on the experiment's seed, the purpose and the realisation only."""
@@ -205,18 +210,27 @@ def _instruction_set() -> str:
     return str(binding.get_host_cpu_name())
 
 
-def models_for(measurement: Measurement, names: Iterable[str] | None = None) -> tuple[Model, ...]:
-    """The models called `names`, or those that fit, with the measured specimen's own roughness and material.
+def models_for(measurement: Measurement, names: Iterable[str] | None = None, to_fit: bool = False) -> tuple[Model, ...]:
+    """The models that `names` describe, or those that fit, with the measured specimen's own roughness and material.
 
-    Raises `InputError` with a sentence for each name that is none, or that cannot describe the specimen.
+    A name may have settings, "cook-torrance m=0.3 k_d=0.1", or be a TOML file with tables [[model]] that have a `kind`
+    and settings. What is not said is the specimen's; `to_fit` fills in what it does not tell, too. Raises `InputError`
+    with a sentence for each name that is none, or that cannot describe the specimen.
     """
-    statistics, material = measurement.surface_statistics, measurement.material
+    specimen = Specimen(measurement.surface_statistics, measurement.material, measurement.surface)
     if names is None:
-        return matching(statistics, material)
-    models, mistakes = [], []
+        return matching(specimen.statistics, specimen.material, specimen.surface)
+    models: list[Model] = []
+    mistakes: list[str] = []
     for name in names:
         try:
-            models.append(_model_of(name, statistics, material))
+            models += (
+                _models_of_file(Path(name), specimen, to_fit)
+                if name.endswith(".toml")
+                else [specimen.described(name, to_fit)]
+            )
+        except InputError as error:
+            mistakes += error.sentences
         except ValueError as error:
             mistakes.append(f"{name}: {error}")
     if mistakes:
@@ -224,25 +238,34 @@ def models_for(measurement: Measurement, names: Iterable[str] | None = None) -> 
     return tuple(models)
 
 
-def _model_class(name: str) -> Any:
-    """The class of a closed-form model; an unknown name is a ValueError that lists them."""
-    known = members(Model)
-    if name not in known:
-        raise ValueError(f"there is no such model; choose from {', '.join(known)}{did_you_mean(name, known)}")
-    return known[name]
+def _models_of_file(path: Path, specimen: Specimen, to_fit: bool) -> list[Model]:
+    """The models of a TOML file's tables [[model]]; `InputError` in a sentence for each mistake."""
+    tables = _read_toml(path, "it needs tables [[model]] with a kind").get("model")
+    tables = [tables] if isinstance(tables, dict) else tables
+    if not isinstance(tables, list) or not all(isinstance(table, dict) and "kind" in table for table in tables):
+        raise InputError(f'{path}: has no tables [[model]] with a kind, such as [[model]] kind = "CookTorrance".')
+    models, mistakes = [], []
+    for number, table in enumerate(tables, 1):
+        kind = str(table["kind"])
+        try:
+            models.append(specimen.model(kind, {k: v for k, v in table.items() if k != "kind"}, to_fit))
+        except ValueError as error:
+            mistakes.append(f"{path}, model {number}, {kind}: {error}")
+    if mistakes:
+        raise InputError(*mistakes)
+    return models
 
 
-def _model_of(name: str, statistics: Mapping[str, float | None], material: Material) -> Model:
-    """A model of a specimen; ValueError in one sentence where it cannot be one."""
-    try:
-        model: Model = _model_class(name).of(statistics, material)
-    except ValidationError as error:
-        raise ValueError(" ".join(sentences(error, _model_class(name)))) from None
-    return model
+def write_models(models: Iterable[Model], path: str | Path) -> Path:
+    """Write models as tables [[model]] of a TOML file, which `models_for` reads."""
+    tables = [TypeAdapter(type(model)).dump_python(model, mode="json", exclude_none=True) for model in models]
+    with replacing(Path(path)) as temporary:
+        temporary.write_text(tomli_w.dumps({"model": [_kind_first(table) for table in tables]}), encoding="utf-8")
+    return Path(path)
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; `InputError` if there are none."""
+def _read_toml(path: Path, needs: str) -> dict[str, Any]:
+    """The tables of a TOML file; `InputError` if there are none, with what it `needs`."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
@@ -261,7 +284,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     except RecursionError:
         raise InputError(f"{path}: lists or tables are nested too deeply.") from None
     if not table:
-        raise InputError(f"{path} is empty: an experiment needs at least the tables [surface] and [material].")
+        raise InputError(f"{path} is empty: {needs}.")
     return table
 
 
@@ -282,17 +305,8 @@ def _override(table: dict[str, Any], override: str) -> list[str]:
         table = table.setdefault(parent, {})
         if not isinstance(table, dict):
             return [f"--set {override!r}: {parent} is a value, not a table."]
-    table[name] = _toml_value(text)
+    table[name] = from_toml(text)
     return []
-
-
-def _toml_value(text: str) -> Any:
-    """`text` read as a TOML value; what is none, such as a bare word, is text."""
-    try:
-        parsed = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
-        return text
-    return parsed["value"] if len(parsed) == 1 else text
 
 
 def _resolve_paths(table: Mapping[str, Any], folder: Path) -> None:

@@ -14,20 +14,19 @@ Multimodel Inference, 2002, doi:10.1007/b97636 (QAICc, section 2.5).
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from gonio.compare import predicted
 from gonio.detectors import Detector, HemisphereGrid
 from gonio.measurement import Measurement
 from gonio.models import Model
-from gonio.optics import Dielectric
+from gonio.models.parameters import bounds, starts, with_values
 from gonio.sphere import Vectors, direction
 
 Array = NDArray[np.float64]
@@ -37,45 +36,6 @@ CONFIDENCE = 0.95
 
 CORRELATED = 0.95
 """Parameters more correlated than this cannot be told apart by this measurement."""
-
-BOUNDS: dict[str, tuple[float, float]] = {
-    "alpha": (0.005, 3.0),
-    "alpha_x": (0.005, 3.0),
-    "alpha_y": (0.005, 3.0),
-    "m": (0.005, 3.0),
-    "m_x": (0.005, 3.0),
-    "m_y": (0.005, 3.0),
-    "n": (1.0, 1e5),
-    "n_u": (1.0, 1e5),
-    "n_v": (1.0, 1e5),
-    "sigma": (0.0, 60.0),
-    "eta": (0.05, 10.0),
-    "k": (0.0, 20.0),
-    "reflectance": (0.0, 1.0),
-    "specular": (0.0, 1.0),
-    "k_d": (0.0, 1.0),
-    "k_s": (0.0, 1.0),
-    "distance": (0.05, 8.0),
-    "floor_height": (0.0, 0.99),
-    "protrusion": (0.01, 1.0),
-    "rotation": (-180.0, 180.0),
-}
-"""What can be fitted, by the last part of its dotted name, and between which limits."""
-
-_INSTEAD = (
-    (("m",), ("m_x", "m_y")),
-    (("alpha",), ("alpha_x", "alpha_y")),
-    (("n",), ("n_u", "n_v")),
-    (
-        ("name",),
-        ("eta", "k"),
-    ),
-    (("floor_height",), ("protrusion",)),
-)
-"""Parameters that stand for one another: to give one kind is to take back the other."""
-
-_SHARES = (("k_d", "k_s"), ("specular", "reflectance"))
-"""Parameters that must not sum to more than 1."""
 
 _ENOUGH_BINS = 40.0
 """Bins that must share a lobe's light (its participation number) for bins to be joined before a fit."""
@@ -133,9 +93,11 @@ class Fit:
     order: str
     """The order of scattering that was fitted."""
     deviance: float
-    """In units of the noise: about one a bin where nothing but noise is left."""
-    dispersion: float
-    """Deviance per degree of freedom: 1 if nothing but noise is left, larger for a model that is not the truth."""
+    """In units of what a count carries, summed over all bins."""
+    deviance_of_noise: float
+    """What the measurement's standard errors lead one to expect of it."""
+    parts: Array
+    """The deviance of every block of 3 x 3 bins and every incidence, all wavelengths together."""
     bins: int
     """How many numbers were fitted: bins x incidences x wavelengths."""
     l1: float
@@ -148,13 +110,19 @@ class Fit:
     """nm."""
 
     @property
-    def aicc(self) -> float:
-        """Akaike's information criterion for small samples, of the deviance; compare fits of the same data only."""
-        return self.deviance + _penalty(len(self.parameters), self.bins)
+    def dispersion(self) -> float:
+        """Variance about the model over that of the noise: 1 if nothing but noise is left."""
+        return (
+            self.deviance / max(self.deviance_of_noise, 1e-300) * self.bins / max(1, self.bins - len(self.parameters))
+        )
 
     def sentences(self) -> list[str]:
         """The fit in plain sentences."""
-        return [*map(_of_parameter, self.parameters), *self._reflectances(), self._quality(), *self.warnings()]
+        return [*map(_of_parameter, self.parameters), *self.remarks()]
+
+    def remarks(self) -> list[str]:
+        """What there is to say besides the numbers: reflectance, what is left over, and warnings."""
+        return [*self._reflectances(), self._quality(), *self.warnings()]
 
     def warnings(self) -> list[str]:
         """What should keep one from believing the numbers."""
@@ -235,25 +203,49 @@ def fit(
         candidate = with_values(model, dict(zip(names, values, strict=True)))
         return [predicted(candidate, lobe.wi, lobe.detector, chosen).value * lobe.solid for lobe in lobes]
 
-    limits = np.array([_bounds(model, name) for name in names])
+    limits = np.array([bounds(model, name) for name in names])
     solution = _search(names, lambda values: _roots(lobes, prediction(values)), start, limits)
     return _fitted(measurement, model, names, solution, limits, lobes, prediction, incidences, chosen)
 
 
-def rank(fits: Sequence[Fit]) -> list[tuple[Fit, float, float]]:
-    """Fits of the same data from the best to the worst: (fit, difference of QAICc to the best, Akaike weight).
+class Ranked(NamedTuple):
+    """A fit's place among others."""
 
-    The scale of the noise is what the best model leaves over (at least the measured noise), so that a large sample does
-    not turn small misfits into certainties. Raises ValueError if the fits are not of the same data and order.
+    fit: Fit
+    difference: float
+    """Of the information criterion to that of the best fit."""
+    uncertainty: float
+    """Standard deviation of the difference, from how the blocks of bins disagree about it."""
+
+    @property
+    def told_apart(self) -> bool:
+        """Whether the measurement says that this model is worse than the best."""
+        return self.difference > 2.0 * self.uncertainty
+
+
+def rank(fits: Sequence[Fit]) -> list[Ranked]:
+    """Fits of the same data from the best to the worst by QAICc, Akaike's criterion for small samples and rough noise.
+
+    The scale of the noise is that of the measurement or, if that is more, what the best model leaves over, so that a
+    large sample does not turn small misfits into certainties; wavelengths of one bin count as one. Neighbouring bins
+    may be wrong together, and no criterion knows it: the uncertainty comes from the scatter between blocks of bins (Q.
+    H. Vuong, Econometrica 57(2), 1989, doi:10.2307/1912557). Raises ValueError if the fits are not of the same data
+    and order.
     """
     if len({(f.order, f.bins, f.incidences, f.wavelengths) for f in fits}) > 1:
         raise ValueError("only fits of the same order, incidences and wavelengths can be ranked against each other.")
-    scale = max(1.0, min(f.dispersion for f in fits))
-    scores = [f.deviance / scale + _penalty(len(f.parameters) + 1, f.bins) for f in fits]
-    differences = np.array(scores) - min(scores)
-    weights = np.exp(-differences / 2.0)
-    ranked = zip(fits, differences.tolist(), (weights / weights.sum()).tolist(), strict=True)
-    return sorted(ranked, key=lambda row: row[1])
+    closest = min(fits, key=lambda f: f.deviance)
+    left = closest.deviance / max(1, closest.bins - len(closest.parameters))
+    scale = max(left, closest.deviance_of_noise / closest.bins, 1e-300) * len(closest.wavelengths)
+    bins = closest.bins // len(closest.wavelengths)
+    scores = {id(f): f.deviance / scale + _penalty(len(f.parameters) + 1, bins) for f in fits}
+    best, *others = sorted(fits, key=lambda f: scores[id(f)])
+
+    def ranked(other: Fit) -> Ranked:
+        parts = (other.parts - best.parts) / scale
+        return Ranked(other, scores[id(other)] - scores[id(best)], float(np.sqrt(parts.size) * parts.std(ddof=1)))
+
+    return [Ranked(best, 0.0, 0.0), *map(ranked, others)]
 
 
 def _penalty(parameters: int, bins: int) -> float:
@@ -263,109 +255,15 @@ def _penalty(parameters: int, bins: int) -> float:
 # --- Parameters -------------------------------------------------------------------------------------------------------
 
 
-def with_values(model: Model, values: Mapping[str, float]) -> Model:
-    """`model` with the parameters of these dotted names set; what they stand for is taken back.
-
-    Weights that must not sum to more than 1 give way: one that was not named to one that was, two that were to each
-    other.
-    """
-    adapter: TypeAdapter[Model] = TypeAdapter(Model)
-    table = adapter.dump_python(model, mode="json", exclude_none=True)
-    for name, value in values.items():
-        *parents, last = name.split(".")
-        owner = _owner(table, parents)
-        for one, other in _INSTEAD:
-            for given, replaced in ((one, other), (other, one)):
-                if last in given:
-                    for key in replaced:
-                        owner.pop(key, None)
-        owner[last] = float(value)
-    _share(table, values)
-    return adapter.validate_json(json.dumps(table))
-
-
-def _owner(table: dict[str, Any], parents: Sequence[str]) -> dict[str, Any]:
-    """The table that a dotted name's last part is in."""
-    for parent in parents:
-        table = table[parent]
-    return table
-
-
-def _share(table: dict[str, Any], named: Mapping[str, float]) -> None:
-    """Make weights that must not exceed 1 together do so."""
-    for pair in _SHARES:
-        if not all(key in table for key in pair) or (total := sum(table[key] for key in pair)) <= 1.0:
-            continue
-        if all(key in named for key in pair):
-            table.update({key: table[key] / total for key in pair})
-        elif given := next((key for key in pair if key in named), None):
-            other = pair[1 - pair.index(given)]
-            table[other] = 1.0 - table[given]
-
-
-def _part(model: Model, name: str) -> Any:
-    """What the last part of a dotted name is an attribute of; None if there is no such thing."""
-    part: Any = model
-    for parent in name.split(".")[:-1]:
-        part = getattr(part, parent, None)
-    return part
-
-
-def _bounds(model: Model, name: str) -> tuple[float, float]:
-    low, high = model.free.get(name) or BOUNDS[name.rsplit(".", 1)[-1]]
-    # A transparent material that is thinner than air would reflect totally: no surface in air does.
-    return (1.0, high) if isinstance(_part(model, name), Dielectric) else (low, high)
-
-
 def _start(model: Model, names: Sequence[str]) -> Array:
     """Values of the named parameters of `model`, inside their bounds; ValueError for what cannot be fitted."""
-    if not names:
-        raise ValueError(f"{type(model).__name__}: no parameter to fit; name some of {', '.join(_candidates(model))}.")
-    if len(set(names)) < len(names):
-        raise ValueError(f"free = {list(names)}: a parameter is named twice.")
-    values = [_value(model, name) for name in names]
+    values = starts(model, names)
     try:
         with_values(model, dict(zip(names, values, strict=True)))
     except ValidationError as error:
         words = "; ".join(str(mistake["msg"]).removeprefix("Value error, ") for mistake in error.errors())
         raise ValueError(f"free = {list(names)}: these cannot be fitted together ({words}).") from None
     return np.array(values)
-
-
-def _value(model: Model, name: str) -> float:
-    """The start of one parameter."""
-    part, last = _part(model, name), name.rsplit(".", 1)[-1]
-    if last not in BOUNDS or not hasattr(part, last):
-        known = ", ".join(_candidates(model))
-        raise ValueError(f"{name!r} is no parameter of {type(model).__name__} that can be fitted; choose from {known}.")
-    value = getattr(part, last)
-    low, high = _bounds(model, name)
-    return float(np.clip(_implied(part, last) if value is None else value, low, high))
-
-
-def _implied(part: Any, name: str) -> float:
-    """A parameter that is not given but follows from the one that stands for it."""
-    if name in ("eta", "k"):
-        index = part.refractive_index(np.array([550.0]))[0]
-        return float(index.real if name == "eta" else index.imag)
-    for one, other in _INSTEAD:
-        if name in one or name in other:
-            given = [value for key in (*one, *other) if (value := getattr(part, key, None)) is not None]
-            if given and not isinstance(given[0], str):
-                return float(np.mean(given)) if name not in ("protrusion", "floor_height") else 1.0 - given[0]
-    return 0.0
-
-
-def _candidates(model: Model, prefix: str = "") -> list[str]:
-    """Dotted names of everything that can be fitted."""
-    names = []
-    for key in getattr(type(model), "__dataclass_fields__", ()):
-        value = getattr(model, key)
-        if key in BOUNDS:
-            names.append(prefix + key)
-        elif hasattr(type(value), "__dataclass_fields__"):
-            names += _candidates(value, f"{prefix}{key}.")
-    return names
 
 
 # --- What is fitted ---------------------------------------------------------------------------------------------------
@@ -512,8 +410,9 @@ def _search(names: Sequence[str], roots: Callable[[Array], Array], start: Array,
         xtol=1e-8,
         ftol=1e-10,
     )
+    values = ruler.values(solution.x)
     return _Solution(
-        ruler.values(solution.x),
+        np.where(np.abs(values) > 1e-12, values, 0.0),
         solution.fun,
         solution.jac / ruler.slopes(solution.x),
         (solution.x < 1.0 + 2 * _EDGE) | (solution.x > 2.0 - 2 * _EDGE),
@@ -603,8 +502,6 @@ def _fitted(
     error = np.sqrt(np.diag(covariance))
     fitted = with_values(model, dict(zip(names, solution.values, strict=True)))
     bins = solution.roots.size
-    noise_alone = _deviance_of_noise(lobes, final)
-    deviance = float((solution.roots**2).sum()) * (bins / noise_alone if noise_alone > 0.0 else 1.0)
     statistics = measurement.surface_statistics
     parameters = tuple(
         Parameter(
@@ -625,13 +522,25 @@ def _fitted(
         parameters,
         covariance / np.maximum(np.outer(error, error), 1e-300),
         model.order,
-        deviance,
-        deviance / max(1, bins - len(names)),
+        float((solution.roots**2).sum()),
+        _deviance_of_noise(lobes, final),
+        _parts(lobes, solution.roots),
         bins,
         float(left / sum(value.sum() for value in final)),
         _normal_reflectance(fitted, names, solution.values, covariance, wavelengths),
         incidences,
         tuple(map(float, wavelengths)),
+    )
+
+
+def _parts(lobes: Sequence[_Lobe], roots: Array) -> Array:
+    """The deviance of every block of every lobe."""
+    each = np.split(roots**2, np.cumsum([lobe.energy.size for lobe in lobes])[:-1])
+    return np.concatenate(
+        [
+            np.bincount(lobe.blocks, part.reshape(lobe.energy.shape).sum(axis=1))
+            for lobe, part in zip(lobes, each, strict=True)
+        ]
     )
 
 

@@ -268,7 +268,9 @@ def _merged_attributes(a: Measurement, b: Measurement) -> dict[str, Any]:
     pooled = {"surface_statistics": json.dumps(mean)}
     if a.facets is not None and b.facets is not None:
         pooled["facets"] = json.dumps(a.facets.pooled(b.facets, n, m).as_dict())
-    return {**a.attributes, **flags, **pooled}
+    # A certificate speaks of what it was made for.
+    kept = {name: value for name, value in a.attributes.items() if name != "certificate"}
+    return {**kept, **flags, **pooled}
 
 
 def _labelled(sums: xr.Dataset, detector: Detector, attributes: dict[str, Any]) -> xr.Dataset:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from scipy.sparse import csr_array
 
+    from gonio.compare import Verdict
     from gonio.detectors import Detector
     from gonio.measurement import Measurement
     from gonio.models import Model
@@ -43,8 +44,10 @@ PANELS = 6
 """At most so many incidences share a figure."""
 LAMP, MIRROR, INK, PAPER = "#d98200", "#0072b2", "#333333", "#e9e9e6"
 """The lamp, the mirror direction, lines and letters, the sample's plane: the same colours in every figure."""
-COLOURS, ERRORS = "viridis", "magma"
-"""Colour maps of values and of their errors."""
+COLOURS, ERRORS, DIFFERENCES = "viridis", "magma", "RdBu_r"
+"""Colour maps of values, of their errors and of differences."""
+PERCENT, SIGMAS = 50.0, 6.0
+"""Largest differences that a map tells apart: in percent, and in standard errors."""
 SPARSE = 10
 """Fewer hits than this say little; such bins are hatched where errors are shown."""
 
@@ -786,6 +789,39 @@ def _map_legend() -> list[Artist]:
             [], [], marker="^", mec=MIRROR, mfc="none", mew=1.6, ls="none", ms=9, label="mirror direction (dphi = 180°)"
         ),
     ]
+
+
+def difference(measurement: Measurement, verdict: Verdict, path: PathLike, wavelength: float | None = None) -> Path:
+    """Draw where a model is above or below what was measured, and below it how sure that is; return the path.
+
+    Laid out as `hemisphere`. Above, model / measured - 1 in percent; below, model - measured in standard errors of the
+    pool of bins that is judged together: up to 3 may be chance. Red is too much, blue too little; bins that no light
+    reached are hatched. `verdict` is what `compare` found for `measurement`.
+    """
+    from matplotlib.colors import Normalize
+
+    incidences, choice = _incidences(measurement)
+    nm = _wavelength(measurement, wavelength)
+    figure = _figure(2.75 * len(incidences) + 1.6, 6.6)
+    panels = figure.subplots(2, len(incidences), squeeze=False, subplot_kw={"projection": "polar"})
+    draw = _draw_bins if _has_hemisphere(measurement) else _draw_apertures
+    norms = Normalize(-PERCENT, PERCENT, clip=True), Normalize(-SIGMAS, SIGMAS, clip=True)
+    for column, incidence in zip(panels.T, incidences, strict=True):
+        here = verdict.lobes.sel(theta_i=incidence.theta, phi_i=incidence.phi, wavelength=nm)
+        measured, model = here["measured"].values, here["model"].values
+        there = measured > 0
+        relative = 100 * (model / np.where(there, measured, np.nan) - 1)
+        significance = np.where(there | (model > 0), -here["significance"].values, np.nan)
+        for panel, shown, norm in zip(column, (relative, significance), norms, strict=True):
+            draw(panel, incidence, measurement.detector, shown, norm, DIFFERENCES)
+            _mark_map(panel, incidence)
+        column[0].set_title(incidence.words, fontsize=11, color=INK, pad=12)
+    _colour_bar(figure, panels[0], norms[0], "model / measured - 1 (%)", DIFFERENCES)
+    _colour_bar(figure, panels[1], norms[1], "model - measured (standard errors)", DIFFERENCES)
+    order = "all orders" if verdict.order == "all" else _hits(verdict.order)
+    _head(figure, measurement, type(verdict.model).__name__, f"{nm:g} nm, {order}", "hatched: no hits", choice)
+    figure.legend(handles=_map_legend(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+    return _save(figure, path)
 
 
 # --- The surface itself ----------------------------------------------------------------------------------------------

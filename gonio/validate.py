@@ -117,17 +117,21 @@ class Case:
     name: str
     function: Callable[[bool], Iterable[_Finding]]
     """Called with `quick`; its docstring says what is tested."""
-    quick: bool = True
-    """Whether the quick suite has it."""
 
 
-def run(quick: bool, progress: Callable[[str, float], None] | None = None) -> tuple[Row, ...]:
-    """Run all cases, or only the `quick` ones with smaller surfaces and fewer paths.
+def run(
+    quick: bool, names: Iterable[str] | None = None, progress: Callable[[str, float], None] | None = None
+) -> tuple[Row, ...]:
+    """Run the cases of these names, or all of them; `quick` with smaller surfaces and fewer paths.
 
     Seeds are fixed: the rows are the same every time. `progress` is told the name of the case that begins and the share
-    of the cases that are done.
+    of the cases that are done. Raises ValueError for a name that is no case.
     """
-    chosen = [case for case in CASES if case.quick or not quick]
+    known = {case.name: case for case in CASES}
+    wanted = tuple(known if names is None else names)
+    if unknown := [name for name in wanted if name not in known]:
+        raise ValueError(f"case {unknown[0]!r} is not known: choose from {', '.join(map(repr, known))}")
+    chosen = [known[name] for name in wanted]
     rows: list[Row] = []
     for done, case in enumerate(chosen):
         if progress:
@@ -136,14 +140,6 @@ def run(quick: bool, progress: Callable[[str, float], None] | None = None) -> tu
     if progress:
         progress("done", 1.0)
     return tuple(rows)
-
-
-def run_case(name: str, quick: bool) -> tuple[Row, ...]:
-    """Run the case of this name alone."""
-    for case in CASES:
-        if case.name == name:
-            return _rows(case, quick)
-    raise ValueError(f"case {name!r} is not known: choose from {', '.join(repr(case.name) for case in CASES)}")
 
 
 def markdown(rows: Iterable[Row]) -> str:
@@ -541,7 +537,7 @@ def unfolded(slope: ArrayLike, psi: ArrayLike, hits: int) -> Array:
             # With light from beyond the rim all rays pass on the other side of the bottom, none closer than this.
             least = np.maximum(least, -np.sin(gamma + side * psi))
             share += np.maximum(np.sin(gamma - side * psi) - least, 0.0)
-        return share / (2.0 * np.sin(gamma) * np.cos(psi))
+        return np.asarray(share / (2.0 * np.sin(gamma) * np.cos(psi)))
 
     share: Array = at_most(hits) - at_most(hits - 1) if hits > 1 else at_most(1)
     return share

@@ -7,6 +7,7 @@ TOML: `kind`, the name of its class, says which member of a union a table is.
 from __future__ import annotations
 
 import difflib
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from types import UnionType
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, dataclass_transform, get_args, get_origin
@@ -200,6 +201,15 @@ def _expectation(kind: str, context: Mapping[str, Any]) -> str:
 def _choice(names: Sequence[str]) -> str:
     """'a, b or c'."""
     return " or ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
+
+
+def from_toml(text: str) -> Any:
+    """`text` read as a TOML value; what is none, such as a bare word, is text."""
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
 
 
 def as_toml(value: object) -> str:

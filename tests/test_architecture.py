@@ -13,6 +13,7 @@ FILES = sorted(path for package in ("gonio", "microsurfaces") for path in (ROOT 
 LEVELS = [
     {"gonio.__main__"},
     {"gonio.cli"},
+    {"gonio.tables"},
     {"gonio.campaign"},
     {"gonio.experiment", "gonio.validate"},
     {"gonio.report"},

@@ -9,7 +9,7 @@ from synthetic import GRID, TRUTH, poisson, synthetic
 
 import microsurfaces as ms
 from gonio.detectors import Apertures, HemisphereGrid
-from gonio.fitting import _joined, fit, rank, with_values
+from gonio.fitting import _joined, fit, rank
 from gonio.goniometer import Goniometer
 from gonio.models import (
     GGX,
@@ -21,9 +21,11 @@ from gonio.models import (
     OrenNayar,
     PoulinFournier,
     SmithCorrelated,
+    SmithSeparable,
     VCavity,
     Ward,
 )
+from gonio.models.parameters import with_values
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
 from gonio.scene import Scene
 from gonio.sphere import direction
@@ -135,12 +137,12 @@ def test_a_parameter_at_its_limit_is_told():
 def test_the_truth_is_ranked_first():
     measurement = poisson(3, 20_000)
     models = (CookTorrance(m=0.3, material=Mirror()), TRUTH, Lambert(0.5), smith(0.3, GGX))
-    (best, zero, weight), (_, second, _), *_ = rank([fit(measurement, model) for model in models])
+    first, *others = rank([fit(measurement, model) for model in models])
+    best = first.fit
     assert best.model.distribution.alpha == pytest.approx(0.4, abs=0.02)
     assert isinstance(best.model.distribution, Beckmann)
-    assert zero == 0.0
-    assert second > 10.0
-    assert weight > 0.99
+    assert first.difference == 0.0
+    assert all(other.difference > 10.0 and other.told_apart for other in others)
     assert best.dispersion == pytest.approx(1.0, abs=0.2)
 
 
@@ -154,6 +156,22 @@ def test_a_useless_parameter_costs():
         differences.append({len(f.parameters): d for f, d, _ in rank([plain, more])})
     gain = np.mean([d[2] - d[1] for d in differences])
     assert -0.5 < gain < 3.0  # 2 - chi2 of one degree of freedom: 1 +- 0.4
+
+
+def test_two_names_of_one_model_are_not_told_apart():
+    measurement = poisson(4, 20_000, detector=WIDE)
+    other = Microfacet(distribution=Beckmann(0.4), masking=SmithSeparable(), material=Mirror())
+    _, second = rank([fit(measurement, model) for model in (TRUTH, other)])
+    assert second.difference == pytest.approx(0.0, abs=1.0)
+    assert not second.told_apart
+
+
+def test_wavelengths_that_travelled_together_count_once():
+    """Twice the wavelengths, the very same counts: the same difference between models."""
+    models = (TRUTH, CookTorrance(m=0.3, material=Mirror()))
+    one, two = (poisson(5, 5_000, wavelengths=nm, detector=WIDE) for nm in ((550.0,), (450.0, 650.0)))
+    differences = [rank([fit(measurement, model) for model in models])[1].difference for measurement in (one, two)]
+    assert differences[0] == pytest.approx(differences[1], rel=0.05)
 
 
 def test_fits_of_different_data_are_not_ranked():

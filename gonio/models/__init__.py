@@ -18,11 +18,19 @@ from gonio.models.masking import Masking, SmithCorrelated, SmithSeparable, Unmas
 from gonio.models.microfacet import Microfacet
 from gonio.models.oren_nayar import OrenNayar
 from gonio.models.poulin_fournier import PoulinFournier
+from gonio.models.smith_multiple_scattering import SmithMultipleScattering
 from gonio.models.ward import Ward
 from gonio.optics import Material
 
 Model = Annotated[
-    Lambert | OrenNayar | CookTorrance | Microfacet | PoulinFournier | Ward | AshikhminShirley,
+    Lambert
+    | OrenNayar
+    | CookTorrance
+    | Microfacet
+    | SmithMultipleScattering
+    | PoulinFournier
+    | Ward
+    | AshikhminShirley,
     Field(discriminator="kind"),
 ]
 """Every model there is."""
@@ -41,6 +49,7 @@ __all__ = [
     "OrenNayar",
     "PoulinFournier",
     "SmithCorrelated",
+    "SmithMultipleScattering",
     "SmithSeparable",
     "Unmasked",
     "VCavity",

@@ -1,0 +1,111 @@
+"""The models of a specimen: by name, with settings in place of what was measured on it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from gonio.models import Model
+from gonio.models.parameters import BOUNDS, give_way, put
+from gonio.optics import Lambertian, Material
+from microsurfaces.recipe import did_you_mean, from_toml, members, parameters, sentences
+
+_CHOICES = {"masking": "SmithCorrelated", "distribution": "Beckmann"}
+"""Parts that a model has where nothing else is said."""
+
+_SETTING = re.compile(r"[\s,:]+(?=[A-Za-z_][\w.]*\s*=)")
+"""What stands before a setting, as in "cook-torrance m=0.3, k_d=0.1"."""
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """What is known of a surface that was measured; it supplies the parameters that are not given."""
+
+    statistics: Mapping[str, float | None]
+    """What `Statistics` measured on its facets."""
+    material: Material
+    surface: object = None
+    """Its recipe, if known."""
+
+    def described(self, text: str, to_fit: bool = False) -> Model:
+        """The model of a text such as "CookTorrance", "cook-torrance m=0.3 k_d=0.1", "microfacet masking.kind=VCavity".
+
+        Names may be written with hyphens and in any case. What is not said is the specimen's: its material, and
+        roughness as measured on its facets. A model `to_fit` needs no more than a start: what the specimen does not
+        tell is put into the middle between the limits. Raises ValueError in one sentence for each mistake.
+        """
+        name, *settings = _SETTING.split(text.strip())
+        pairs = (setting.partition("=") for setting in settings)
+        return self.model(name, {key.strip(): from_toml(value.strip()) for key, _, value in pairs}, to_fit)
+
+    def model(self, name: str, settings: Mapping[str, Any], to_fit: bool = False) -> Model:
+        """The model called `name` with `settings`, by dotted names or in nested tables; else as `described`."""
+        cls: Any = model_class(name)
+        settings = dict(_flat(settings))
+        try:
+            table = _as_table(cls.of(self.statistics, self.material, self.surface))
+        except ValueError as error:
+            if not (settings or to_fit):
+                raise ValueError(_in_words(error, cls)) from None
+            table = self._unspecified(cls, to_fit)
+        try:
+            for key, value in settings.items():
+                put(table, key, value)
+            give_way(table, settings)
+            model: Model = TypeAdapter(Model).validate_json(json.dumps(table))
+        except KeyError as error:
+            raise ValueError(f"{error.args[0]} is a value, not a table.") from None
+        except ValidationError as error:
+            raise ValueError(_in_words(error, Model)) from None
+        return model
+
+    def _unspecified(self, cls: Any, to_fit: bool) -> dict[str, Any]:
+        """The table of a model of which the specimen tells no more than its material."""
+        table: dict[str, Any] = {"kind": cls.__name__}
+        for name in parameters(cls):
+            if name in _CHOICES:
+                table[name] = {"kind": _CHOICES[name]}
+            elif name == "local" or (name == "material" and not isinstance(self.material, Lambertian)):
+                table[name] = TypeAdapter(Material).dump_python(self.material, mode="json", exclude_none=True)
+        for name, (low, high) in cls.free.items() if to_fit else ():
+            put(table, name, float(np.sqrt(low * high)) if low > 0.0 else (low + high) / 4.0)
+        return table
+
+
+def model_class(text: str) -> type:
+    """The class of the model that a text names, whatever its settings; ValueError for an unknown name."""
+    name = _SETTING.split(text.strip())[0]
+    known = {_plain(kind): cls for kind, cls in members(Model).items()}
+    if _plain(name) not in known:
+        names = members(Model)
+        raise ValueError(f"there is no such model; choose from {', '.join(names)}{did_you_mean(name, names)}")
+    return known[_plain(name)]
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_\s]", "", name).lower()
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted names and values of nested tables, whole numbers as the numbers that models have; kinds come first."""
+    for key, value in sorted(settings.items(), key=lambda item: not item[0].endswith("kind")):
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            number = key.rsplit(".", 1)[-1] in BOUNDS and isinstance(value, int)
+            yield f"{prefix}{key}", float(value) if number else value
+
+
+def _as_table(model: Model) -> dict[str, Any]:
+    table: dict[str, Any] = TypeAdapter(Model).dump_python(model, mode="json", exclude_none=True)
+    return table
+
+
+def _in_words(error: ValueError, expected: Any) -> str:
+    return " ".join(sentences(error, expected)) if isinstance(error, ValidationError) else str(error)

@@ -1,0 +1,275 @@
+"""Results as tables for a terminal: what was measured, how models compare, what was fitted, what was checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.table import Table
+
+from microsurfaces.recipe import parameters as fields
+
+if TYPE_CHECKING:
+    from gonio.certificate import Certificate
+    from gonio.compare import Verdict
+    from gonio.fitting import Fit, Ranked
+    from gonio.measurement import Measurement
+    from gonio.models import Model
+    from gonio.validate import Row
+
+_COLOURS = {"passed": "green", "warning": "yellow", "failed": "bold red", "FAILS": "bold red"}
+"""What stands out in a list of judgements."""
+
+
+def albedo(measurement: Measurement) -> Table:
+    """Albedo with its standard error for every incidence and up to three wavelengths."""
+    dataset = measurement.albedo()
+    wavelengths = dataset["wavelength"].values
+    count = min(len(wavelengths), 3)
+    chosen = [round(i * (len(wavelengths) - 1) / max(count - 1, 1)) for i in range(count)]
+    table = _of_incidences(*(f"{wavelengths[i]:g} nm" for i in chosen))
+    for theta, phi in measurement.incidences():
+        here = dataset.sel(theta_i=theta, phi_i=phi)
+        values, errors = here["albedo"].values, here["standard_error"].values
+        table.add_row(_incidence(theta, phi), *(_with_error(values[i], errors[i]) for i in chosen))
+    if count < len(wavelengths):
+        table.caption = f"{count} of {len(wavelengths)} wavelengths; all are in measurement.nc"
+    return table
+
+
+def energy(measurement: Measurement) -> Table:
+    """Orders of scattering and the ledger, means over the wavelengths."""
+    reflected, ledger = measurement.dataset["albedo"].mean("wavelength"), measurement.ledger().mean("wavelength")
+    orders = reflected["order"].values[1:]
+    hits = (f"{order[:-1]} or more" if order.endswith("+") else order for order in orders)
+    table = _of_incidences(*(f"{many} hit{'s' * (many != '1')}" for many in hits), "absorbed", "lost or truncated")
+    for theta, phi in measurement.incidences():
+        here, fate = reflected.sel(theta_i=theta, phi_i=phi), ledger.sel(theta_i=theta, phi_i=phi)
+        total = float(here.sel(order="all")) or 1.0
+        shares = [float(here.sel(order=order)) / total for order in orders]
+        missing = float(fate["lost"] + fate["truncated"])
+        table.add_row(
+            _incidence(theta, phi),
+            *(f"{share:.2%}" for share in (*shares, float(fate["absorbed"]))),
+            f"{missing:.1e}" if missing else "0",
+        )
+    return table
+
+
+def statistics(values: Mapping[str, float | None]) -> Table:
+    """Name and value of each statistic of a surface."""
+    table = Table.grid(padding=(0, 2))
+    for name, value in values.items():
+        unit = " µm" if name in ("Sa", "Sq") or name.startswith("correlation") else ""
+        table.add_row(name, "not defined" if value is None else f"{value:.5g}{unit}")
+    return table
+
+
+# --- Models -----------------------------------------------------------------------------------------------------------
+
+
+def name_of(model: Model) -> str:
+    """A model's name, and those of the parts that are a matter of choice."""
+    parts = (getattr(model, part) for part in ("distribution", "masking", "local") if part in fields(type(model)))
+    named = ", ".join(type(part).__name__ for part in parts)
+    return type(model).__name__ + (f" ({named})" if named else "")
+
+
+def light(order: str) -> str:
+    """The light of an order, in words."""
+    if order == "all":
+        return "all light"
+    return "the light of one hit" if order == "1" else f"the light of {order} hits"
+
+
+def verdict(found: Verdict, every_wavelength: bool = False) -> Table:
+    """Albedo and lobe of a model, each with its verdict: a row an incidence, at the wavelength that differs most."""
+    table = _of_incidences("nm", "albedo", "model", "verdict", "L1", "noise", "verdict")
+    for row in found.rows() if every_wavelength else found.worst_rows():
+        measured = float(row["albedo_measured"])
+        table.add_row(
+            _incidence(row["theta_i"], row["phi_i"]),
+            f"{row['wavelength']:g}",
+            _concise(measured, float(row["albedo_standard_error"])),
+            f"{row['albedo_bias']:+.2%}" if measured else "-",
+            "differs" if row["albedo_differs"] else "noise",
+            f"{row['l1']:.1%}",
+            f"{row['l1_noise']:.1%}",
+            str(row["lobe"]),
+        )
+    return table
+
+
+def metrics(found: Verdict, every_wavelength: bool = False) -> Table:
+    """How far the lobe differs by other measures, in brackets what noise alone would give."""
+    table = _of_incidences("nm", "L2 (noise)", "log-RMS (noise)", "chi2", "chi2 MC", "outside")
+    for row in found.rows() if every_wavelength else found.worst_rows():
+        table.add_row(
+            _incidence(row["theta_i"], row["phi_i"]),
+            f"{row['wavelength']:g}",
+            f"{row['l2']:.1%} ({row['l2_noise']:.1%})",
+            f"{row['log_rms']:.3f} ({row['log_rms_noise']:.3f})",
+            _number(row["chi2"]),
+            _number(row["chi2_mc"]),
+            f"{row['share_outside']:.1%}",
+        )
+    return table
+
+
+def worst_bins(found: Verdict) -> Table | None:
+    """The bins that add most to the L1 difference beyond doubt; None if there are none."""
+    rows = found.worst_bins()
+    if not rows:
+        return None
+    places = [name for name in ("theta_o", "dphi", "detector") if name in rows[0]]
+    table = _of_incidences("nm", *places, "measured", "model", "off by", "of L1")
+    for row in rows:
+        off = f"{row['model'] / row['measured'] - 1:+.0%} " if row["measured"] else ""
+        table.add_row(
+            _incidence(row["theta_i"], row["phi_i"]),
+            f"{row['wavelength']:g}",
+            *(f"{row[name]:g}" + "°" * (name != "detector") for name in places),
+            _concise(row["measured"], row["standard_error"]),
+            f"{row['model']:.4g}",
+            f"{off}({-row['significance']:+.1f} s.e.)",
+            f"{row['share']:.1%}",
+        )
+    return table
+
+
+def ranking(verdicts: Sequence[Verdict]) -> Table:
+    """Several models side by side, the best lobe first: means and extremes over incidences and wavelengths."""
+    table = _headed("model", "light", "albedo bias", "L1 (noise)", "log-RMS", "chi2")
+    for found in sorted(verdicts, key=lambda each: float(each.table["l1"].mean())):
+        mean = {name: float(found.table[name].mean()) for name in ("l1", "l1_noise", "log_rms", "chi2")}
+        bias = found.table["albedo_bias"].values.ravel()
+        table.add_row(
+            name_of(found.model),
+            "all" if found.order == "all" else f"{found.order} hit{'s' * (found.order != '1')}",
+            f"{max(bias[bias == bias], key=abs, default=math.nan):+.2%}",
+            f"{mean['l1']:.1%} ({mean['l1_noise']:.1%})",
+            f"{mean['log_rms']:.3f}",
+            _number(mean["chi2"]),
+        )
+    return table
+
+
+# --- Fits -------------------------------------------------------------------------------------------------------------
+
+
+def parameters(found: Fit) -> Table:
+    """Fitted numbers with their errors and intervals, and what the facets have in their place."""
+    table = _headed("parameter", "value", "noise", "misfit", "95 % interval", "facets")
+    for each in found.parameters:
+        digits = 4 if not each.standard_error > 0 else min(8, max(3, 1 - math.floor(math.log10(each.standard_error))))
+        facets = "" if not each.facets else f"{each.facets:.{digits}f}, {each.value / each.facets - 1:+.1%}"
+        table.add_row(
+            each.name,
+            _concise(each.value, each.standard_error),
+            f"{each.noise:.2g}",
+            f"{each.misfit:.2g}",
+            "at its limit" if each.at_bound else " to ".join(f"{end:.{digits}f}" for end in each.interval),
+            facets,
+        )
+    return table
+
+
+def correlations(found: Fit) -> Table | None:
+    """Correlations between fitted numbers; None for a single one."""
+    names = [each.name for each in found.parameters]
+    if len(names) == 1:
+        return None
+    table = _headed("correlation", *names)
+    for name, row in zip(names, found.correlation, strict=True):
+        table.add_row(name, *(f"{value:+.3f}" for value in row))
+    return table
+
+
+def ranked(rows: Iterable[Ranked]) -> Table:
+    """Fitted models from the best to the worst by the information criterion."""
+    table = _headed("model", "QAICc - best", "left (L1)", "variance/noise", "verdict")
+    for place, row in enumerate(rows):
+        verdict = "worse" if row.told_apart else "as good: not told apart"
+        table.add_row(
+            name_of(row.fit.model),
+            f"{row.difference:.1f} ± {row.uncertainty:.1f}" if place else "0",
+            f"{row.fit.l1:.2%}",
+            _number(row.fit.dispersion),
+            verdict if place else "best",
+        )
+    return table
+
+
+# --- Judgements -------------------------------------------------------------------------------------------------------
+
+
+def checks(found: Certificate) -> Table:
+    """Every self-check, how it ended and what was found."""
+    table = _headed("check", "", "found")
+    table.columns[1].no_wrap = table.columns[0].no_wrap = True
+    table.columns[2].justify = table.columns[1].justify = "left"
+    for check in found.checks:
+        table.add_row(check.name, check.status, check.sentence, style=_COLOURS.get(check.status))
+    return table
+
+
+def validation(rows: Iterable[Row]) -> Table:
+    """Every number of the ground truth, case by case."""
+    table = _headed("case, quantity", "measured", "error", "exact", "score", "limit", "verdict")
+    previous = None
+    for row in rows:
+        if row.case != previous:
+            table.add_row(row.case, style="bold")
+            previous = row.case
+        error = "" if math.isnan(row.error) else f"{row.error:.2g}"
+        score = f"{row.statistic} {row.score:.2g}".replace("difference", "off by")
+        numbers = (f"{row.measured:.5g}", error, f"{row.exact:.5g}", score, f"{row.limit:.3g}")
+        table.add_row(f"  {row.quantity}", *numbers, row.verdict.split(" ")[0], style=_COLOURS.get(row.verdict))
+    return table
+
+
+# --- Cells ------------------------------------------------------------------------------------------------------------
+
+
+def _headed(first: str, *others: str) -> Table:
+    """A table of these columns, the first of words, the others of numbers."""
+    table = Table(box=box.SIMPLE_HEAD, caption_justify="left", pad_edge=False, collapse_padding=True)
+    table.add_column(first)
+    for heading in others:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def _of_incidences(*headings: str) -> Table:
+    """A table whose first column says where the light comes from."""
+    table = Table(box=box.SIMPLE_HEAD, caption_justify="left", pad_edge=False, collapse_padding=True)
+    for heading in ("light from", *headings):
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def _incidence(theta: float, phi: float) -> str:
+    return f"{theta:g}°, {phi:g}°"
+
+
+def _with_error(value: float, error: float) -> str:
+    """A value with as many digits as its standard error allows."""
+    if not error >= 5e-7:
+        return f"{value:.6f} ± {error:.0g}"
+    decimals = min(max(1 - math.floor(math.log10(error)), 0), 6)
+    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
+
+
+def _concise(value: float, error: float) -> str:
+    """A value with the standard error of its last two digits in brackets, as metrologists write it."""
+    if not error >= 5e-8:
+        return f"{value:.6f}"
+    decimals = max(1 - math.floor(math.log10(error)), 0)
+    return f"{value:.{decimals}f}({error * 10**decimals:.0f})"
+
+
+def _number(value: Any) -> str:
+    """Three significant digits, or a dash where there is no number."""
+    return "-" if math.isnan(value) else f"{value:.0f}" if value >= 100 else f"{value:.3g}"
