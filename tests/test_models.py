@@ -18,6 +18,8 @@ from gonio.models import (
     Microfacet,
     Mixture,
     Model,
+    OrenNayar,
+    PoulinFournier,
     SmithCorrelated,
     SmithSeparable,
     Unmasked,
@@ -28,13 +30,13 @@ from gonio.models.averages import TOLERANCE
 from gonio.models.cook_torrance import NORMALISATIONS
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
 from gonio.sphere import direction, half_vector, rotate_z
-from microsurfaces import Gaussian
+from microsurfaces import Cylinders, Gaussian
 from microsurfaces.recipe import members
 
 DATA = Path(__file__).parent / "data"
 
-SINGULAR: set[str] = set()
-"""Models that are tested elsewhere: they may be no functions, or random."""
+ELSEWHERE = {"SmithMultipleScattering"}
+"""Models that are random, and tested by themselves."""
 MATERIALS = {
     "F=1": Mirror(),
     "n=1.5": Dielectric(eta=1.5),
@@ -189,7 +191,7 @@ def test_no_model_creates_energy(model, theta_i):
 
 
 def test_every_model_has_an_example():
-    assert {type(model).__name__ for model in MODELS} == set(members(Model)) - SINGULAR
+    assert {type(model).__name__ for model in MODELS} == set(members(Model)) - ELSEWHERE
 
 
 @pytest.mark.parametrize("model", MODELS, ids=repr)
@@ -453,7 +455,12 @@ def test_the_model_of_a_specimen():
     assert Microfacet.of(statistics, gold) == smith(0.25, gold)
     assert Lambert.of(statistics, Lambertian(0.3)) == Lambert(0.3)
     assert matching(statistics, gold) == (CookTorrance(m=0.25, material=gold), smith(0.25, gold))
-    assert matching(statistics, Lambertian(0.3)) == (Lambert(0.3),)
+    tilt = np.degrees(np.arctan(0.25 / np.sqrt(2)))
+    assert matching(statistics, Lambertian(0.3)) == (Lambert(0.3), OrenNayar(sigma=tilt, reflectance=0.3))
+    assert matching({"beckmann_alpha": 0.0}, Lambertian(0.3)) == (Lambert(0.3),)
+    cylinders = Cylinders(distance=1.5)
+    rounded = PoulinFournier(local=gold, distance=1.5, floor_height=cylinders.floor_height)
+    assert matching(statistics, gold, cylinders)[0] == rounded
     assert matching({"beckmann_alpha": 0.0}, gold) == ()
     assert CookTorrance.of({**statistics, "beckmann_alpha_x": 0.2, "beckmann_alpha_y": 0.3}, gold).m_y == 0.3
     nearly = {**statistics, "beckmann_alpha_x": 0.245, "beckmann_alpha_y": 0.255}

@@ -67,6 +67,14 @@ def a_lossless_surface_returns_all_light():
     assert lost < 1e-5, f"{lost:.2g} of the light is lost"
 
 
+def steep_grooves_lose_no_light():
+    """Up to five hits near the bottom, a concave edge."""
+    measurement = measure(ms.VGrooves(angle=70).build(0), optics.Mirror(), theta_i=(0, 60), paths=300_000)
+    ledger = measurement.ledger()
+    lost = float((ledger["lost"] + ledger["truncated"]).max())
+    assert lost < 2e-5, f"{lost:.2g} of the light is lost"
+
+
 def a_flat_mirror_sends_fresnel_into_one_bin(azimuth="fixed"):
     theta_i = (0, 35, 70)
     measurement = measure(
@@ -101,8 +109,20 @@ def error_bars_cover_the_truth():
     assert_covers(scores[..., 1:, :, :].ravel(), 15)  # bins of the cap are the same few paths turned about
 
 
+def error_bars_of_mirrors_cover_the_truth():
+    """Half of the light leaves a half-pipe after one hit, if it comes from above; where it starts is all the chance."""
+    relief = cylinders("grooves", 2.0)
+    data = [
+        measure(relief, optics.Mirror(), seed, paths=1600, detector=COARSE).dataset.sel(order="1")
+        for seed in range(100)
+    ]
+    scores = [((d["albedo"] - 0.5) / d["albedo_standard_error"]).item() for d in data]
+    assert np.isfinite(scores).all()
+    assert_covers(np.array(scores), 15)
+
+
 def a_source_cone_averages_fresnel_over_its_directions():
-    theta, half_angle = 70.0, 15.0
+    theta, half_angle = 60.0, 29.0
     wo, weight = cone_quadrature(np.array([theta]), np.array([0.0]), half_angle, 32)
     expected = (weight[..., None] * GLASS.reflectance(wo[..., 2], GREEN)).sum()
     albedo = measure(
@@ -212,10 +232,12 @@ def grooves_of_all_slopes_and_azimuths_are_cook_and_torrance():
 
 LAWS = (
     a_lossless_surface_returns_all_light,
+    steep_grooves_lose_no_light,
     a_flat_mirror_sends_fresnel_into_one_bin,
     turning_a_flat_mirror_changes_nothing,
     a_flat_diffuser_is_rho_over_pi_everywhere,
     error_bars_cover_the_truth,
+    error_bars_of_mirrors_cover_the_truth,
     a_source_cone_averages_fresnel_over_its_directions,
     cones_are_reciprocal,
     a_right_angled_groove_returns_light_after_two_hits,
@@ -320,20 +342,6 @@ DAMAGES = (
         where_the_tile_is_cut_changes_nothing,
     ),
     Damage(
-        "no periodic wrap of hits behind the seam",
-        "transport._wrapped",
-        "return position - 2 * half",
-        "return half",
-        where_the_tile_is_cut_changes_nothing,
-    ),
-    Damage(
-        "no seam",
-        "scene.Scene.__init__",
-        "_with_seam(self.mesh)",
-        "(lambda v, f, r: (v, f[: len(self.mesh.faces)], r[:0]))(*_with_seam(self.mesh))",
-        a_lossless_surface_returns_all_light,
-    ),
-    Damage(
         "wi for wo: azimuth from the mirror's side",
         "transport.bins_of",
         "phi_i / 360",
@@ -376,18 +384,11 @@ DAMAGES = (
         a_lossless_surface_returns_all_light,
     ),
     Damage(
-        "Embree not robust",
-        "scene.Scene.__init__",
-        "robust=True",
-        "robust=False",
-        a_lossless_surface_returns_all_light,
-    ),
-    Damage(
         "a restart offset that leaps over concave edges",
         "scene.Scene.__init__",
         "OFFSET * largest",
         "1000 * OFFSET * largest",
-        a_lossless_surface_returns_all_light,
+        steep_grooves_lose_no_light,
     ),
     Damage(
         "no restart offset",
@@ -425,10 +426,10 @@ DAMAGES = (
         turning_a_flat_mirror_changes_nothing,
     ),
     Damage(
-        "few azimuths",
+        "azimuths of a quarter turn",
         "transport._surface_turn",
-        "path * _GOLDEN",
-        "path * 0.25",
+        "average * (",
+        "average * 0.25 * (",
         grooves_of_all_slopes_and_azimuths_are_cook_and_torrance,
     ),
     Damage(
@@ -443,7 +444,7 @@ DAMAGES = (
         "transport._incident",
         "math.sqrt(lamp.beam * uniform(r0))",
         "math.sqrt(lamp.beam) * uniform(r0)",
-        cones_are_reciprocal,
+        a_source_cone_averages_fresnel_over_its_directions,
     ),
     Damage(
         "diffuse light without its cosine",
@@ -471,7 +472,7 @@ DAMAGES = (
         "transport._launch",
         "philox(path, path >> 32, replicate // 4, 0,",
         "philox(path, path >> 32, 0, 0,",
-        error_bars_cover_the_truth,
+        error_bars_of_mirrors_cover_the_truth,
     ),
     Damage(
         "replicates of one diffuse randomness",

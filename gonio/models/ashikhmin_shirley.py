@@ -26,7 +26,7 @@ class AshikhminShirley:
     """Ashikhmin and Shirley's empirical model (2000): a Phong lobe of two exponents, Schlick's Fresnel, a diffuser.
 
     Physics. None is claimed but what every surface must do: the model is reciprocal, reflects no more than there is,
-    becomes a mirror at grazing incidence, and lets the diffuse part, light that went into the material and came out
+    shines more the more the light grazes, and lets the diffuse part, light that went into the material and came out
     again, fade as the specular part takes the light away.
 
     Equation, with h the half vector, in the model's own axes, and H = wi . h:
@@ -38,7 +38,7 @@ class AshikhminShirley:
     Validity. An empirical description of everything that is reflected, to be fitted. The diffuse part's albedo is
     reflectance (1 - specular) (1 - (1 - cos theta_i / 2)^5), 0.97 of what the name says under normal light. The lobe
     of an ideal mirror (specular = 1) keeps all light only in the limit of large exponents: its albedo under normal
-    light is 0.96, 0.70, 0.25 for n = 100, 10, 1.
+    light is 0.96, 0.70, 0.25 for n = 100, 10, 1, and 0.5 for every n where the light grazes.
 
     A feel for the numbers: n = 10 is satin, 100 glossy, 10,000 nearly a mirror; the lobe is as wide as Beckmann's of
     alpha = sqrt(2 / (n + 2)). specular is 0.04 for glass and plastics, 0.5 to 0.98 for metals.

@@ -45,15 +45,15 @@ class OrenNayar:
         "single"       f1, to be compared with light that was reflected once
         "qualitative"  r / pi (C1 + 0.45 s / (s + 0.09) max(0, c) sin a tan b), a sketch of f1 that most renderers use
 
-    Where grazing light leaves forward and sigma exceeds 41 degrees, f1 would be below 0; here it is 0 there.
+    Where grazing light leaves forward and sigma exceeds 38 degrees, f1 would be below 0; here it is 0 there.
 
-    Validity. Simple functions fitted to integrals over grooves of normally distributed tilts. Below 80 degrees f1 is
-    within 0.04 r / pi of those integrals, root mean square, at any sigma to 60 degrees, and 0.18 r / pi at worst, the
+    Validity. Simple functions fitted to integrals over grooves of normally distributed tilts. Up to 75 degrees f1 is
+    within 0.04 r / pi of those integrals, root mean square, at any sigma to 60 degrees, and 0.19 r / pi at worst, the
     qualitative form 0.55 r / pi; closer to grazing both are sketches. Energy is created at grazing incidence: 5 % at
     most by the full form (r = 1, sigma = 17 degrees), nothing for r below 0.95. What is reflected three times is
     missing. A traced Gaussian surface of alpha = 0.7 and r = 0.8 (sigma = 26 degrees) returns, at 0, 40, 75 degrees of
     incidence, 0.673, 0.673, 0.680 after one reflection and 0.769, 0.769, 0.771 in all; the model has 0.646, 0.652,
-    0.694 and 0.713, 0.719, 0.761. Its lobes of light reflected once differ by 5 to 8 %, Lambert's by 16 to 31 %.
+    0.694 and 0.713, 0.719, 0.761. Its lobes of light reflected once differ by 4 to 8 %, Lambert's by 16 to 31 %.
 
     A feel for the numbers: straight above, f1 is 0.87, 0.77, 0.65 r / pi for sigma = 20, 30, 50 degrees. Sand-blasted
     plaster is near 20, sand and the moon 30 to 40 degrees.
@@ -83,7 +83,7 @@ class OrenNayar:
         """The model of a rough Lambertian specimen, taken as isotropic; sigma is the tilt of the rms slope of an axis.
 
         Slopes that are normal deviates are no normal tilts, but close: with this sigma, f1 misses the integrals over
-        Gaussian slopes by at most 0.007 r / pi (alpha up to 1) more than with the best one.
+        Gaussian slopes by at most 0.02 r / pi, root mean square (alpha up to 1), more than with the best one.
         """
         if not isinstance(material, Lambertian):
             raise ValueError(f"OrenNayar describes Lambertian specimens, and this one is {material!r}.")

@@ -25,7 +25,7 @@ class Ward:
 
     Physics. None is claimed: it is the simplest lobe, elliptical in the slope of the half vector, that is reciprocal
     and can be fitted to a goniometer's data; Ward's own were brushed and rolled metals, plastics and paints. It has no
-    Fresnel reflectance and no masking. The forms before this one either lost all light at grazing incidence (1992) or
+    Fresnel reflectance and no masking. The earlier forms either lost most light near grazing incidence (1992) or
     reflected more than there was (Dür 2006).
 
     Equation, with h = wi + wo NOT normalised and its components in the model's own axes:
