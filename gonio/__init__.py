@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gonio import formats, models, plots
+    from gonio.certificate import certify
     from gonio.compare import Verdict, compare
     from gonio.detectors import Apertures, HemisphereGrid
     from gonio.experiment import Experiment, InputError
+    from gonio.fitting import fit
     from gonio.formats import export
     from gonio.goniometer import Goniometer
     from gonio.measurement import Measurement, load, save
@@ -45,8 +47,10 @@ _HOME = {
     "Mirror": "gonio.optics",
     "Scene": "gonio.scene",
     "Verdict": "gonio.compare",
+    "certify": "gonio.certificate",
     "compare": "gonio.compare",
     "export": "gonio.formats",
+    "fit": "gonio.fitting",
     "load": "gonio.measurement",
     "save": "gonio.measurement",
 }
@@ -70,8 +74,10 @@ __all__ = [
     "Scene",
     "Verdict",
     "__version__",
+    "certify",
     "compare",
     "export",
+    "fit",
     "formats",
     "load",
     "models",

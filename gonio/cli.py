@@ -343,8 +343,11 @@ def _judge(
 
     verdicts = []
     for model in models:
-        with _working(f"comparing with {tables.name_of(model)}"):
-            verdicts.append(compare(measurement, model, floor))
+        try:
+            with _working(f"comparing with {tables.name_of(model)}"):
+                verdicts.append(compare(measurement, model, floor))
+        except ValueError as error:
+            _complain(0, f"{tables.name_of(model)}: {error}")
     for verdict in verdicts:
         heading = f"{tables.name_of(verdict.model)} against {tables.light(verdict.order)}"
         _show(heading, tables.verdict(verdict, every_wavelength))
@@ -467,7 +470,10 @@ def compare(
     if not 0.0 <= floor < 1.0:
         raise InputError(f"--floor {floor:g}: must be 0 or more and less than 1, a share of the peak.")
     measurement = _load(file)
-    verdicts = _judge(measurement, models_for(measurement, models or None), all, floor)
+    chosen = models_for(measurement, models or None)
+    if not chosen:
+        raise InputError(f"{file}: no model describes this specimen by itself; name one with --model.")
+    verdicts = _judge(measurement, chosen, all, floor)
     for verdict in verdicts:
         _show(f"{tables.name_of(verdict.model)}, other measures of the lobe", tables.metrics(verdict, all))
         _show("The bins that add most to L1, beyond doubt (3 standard errors)", tables.worst_bins(verdict))
@@ -485,6 +491,8 @@ def compare(
         _make_writable(output)
         for path in _save_verdicts(measurement, verdicts, output):
             print(path)
+    if len(verdicts) < len(chosen):
+        raise RunError(f"{len(chosen) - len(verdicts)} of {len(chosen)} models could not be compared.")
 
 
 def _save_verdicts(measurement: Measurement, verdicts: Sequence[Verdict], folder: Path) -> Iterator[Path]:

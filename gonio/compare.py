@@ -238,7 +238,8 @@ def predicted(model: Model, wi: Vectors, detector: Detector, wavelengths: Array)
 def compare(measurement: Measurement, model: Model, floor: float = FLOOR) -> Verdict:
     """Judge `model` against the order of `measurement` that it speaks of, incidence by incidence, bin by bin.
 
-    Bins with fewer than 10 hits are pooled with those that follow them in theta_o, dphi order until a pool has 10.
+    Bins with fewer than 10 hits, or whose error says that they are worth fewer, are pooled with those that follow them
+    in theta_o, dphi order until a pool has 10.
     Noise is what the standard errors say: Monte Carlo noise if one realisation was measured, and the difference between
     specimens as well if several were. The numerical error of the model's averages counts as noise too. `floor` is the
     share of the lobe's peak below which logarithms are not compared.
@@ -389,9 +390,9 @@ class _Pools:
     """Neighbouring bins joined until they have enough hits: energies (pools, W), and what is uncertain about them."""
 
     def __init__(self, measured: _Incidence, prediction: _Prediction, solid: Array) -> None:
-        self.first = _pools(measured.hits)
-        self.size = np.diff(np.append(self.first, measured.hits.size))
         power = solid[:, None]
+        self.first = _pools(measured.hits, measured.brdf * power, (measured.error * power) ** 2)
+        self.size = np.diff(np.append(self.first, measured.hits.size))
         self.measured = self._sum(measured.brdf * power)
         self.model = self._sum(prediction.brdf * power)
         numerical = (TOLERANCE * self.model) ** 2 + self._sum((prediction.random * power) ** 2)
@@ -427,18 +428,22 @@ class _Pools:
         return np.repeat(values, self.size, axis=0)
 
 
-def _pools(hits: NDArray[np.int64]) -> NDArray[np.intp]:
+def _pools(hits: NDArray[np.int64], energy: Array, variance: Array) -> NDArray[np.intp]:
     """Where each pool of consecutive bins starts: a pool ends with the bin that gives it enough hits.
 
-    What is left over at the end joins the last pool, so that every bin, and all of the energy, is in one pool.
+    They must be worth as many independent ones: where specimens differ, hits come in clusters from the few that have a
+    facet of the right tilt, and energy^2 / variance (bins, W) counts these. What is left over at the end joins the last
+    pool, so that every bin, and all of the energy, is in one pool.
     """
-    starts, filled = [0], 0
+    starts, filled, clusters = [0], 0, np.zeros((2, energy.shape[1]))
     for index, count in enumerate(hits.tolist()):
-        if filled >= ENOUGH_HITS:
+        if filled >= ENOUGH_HITS and (clusters[0] ** 2 >= ENOUGH_HITS * clusters[1]).all():
             starts.append(index)
-            filled = 0
+            filled, clusters = 0, np.zeros_like(clusters)
         filled += count
-    return np.asarray(starts if filled >= ENOUGH_HITS or len(starts) == 1 else starts[:-1], np.intp)
+        clusters += energy[index], variance[index]
+    enough = filled >= ENOUGH_HITS and (clusters[0] ** 2 >= ENOUGH_HITS * clusters[1]).all()
+    return np.asarray(starts if enough or len(starts) == 1 else starts[:-1], np.intp)
 
 
 def _lobe(pools: _Pools, albedo: Array, freedom: float) -> dict[str, Any]:

@@ -155,12 +155,42 @@ def markdown(rows: Iterable[Row]) -> str:
         "The score is Student's t; for chi2 per bin, its excess over 1 in units of its scatter; or, where only a band "
         "is known, the difference itself. Beyond the limit it is not noise: a case whose laws hold fails with "
         f"probability {LEVEL:g}, all its rows together.",
+        "",
+        summary(rows).rstrip(),
     ]
     for name, group in itertools.groupby(rows, key=lambda row: row.case):
-        words = " ".join(laws.get(name, "").split())
-        lines += ["", f"## {name}", "", words, "", "| " + " | ".join(_COLUMNS) + " |", "| --- " * len(_COLUMNS) + "|"]
-        lines += ["| " + " | ".join(_cells(row)) + " |" for row in group]
+        lines += ["", f"## {name}", "", " ".join(laws.get(name, "").split()), "", *_head(_COLUMNS)]
+        lines += [_line(_cells(row)) for row in group]
     return "\n".join(lines) + "\n"
+
+
+def summary(rows: Iterable[Row]) -> str:
+    """A Markdown table of one line a case: its sizes, and of its laws the number that comes closest to its limit."""
+    lines = _head(
+        ("case", "numbers", "closest to its limit", "measured", "exact", "score", "limit", "verdict", "settings")
+    )
+    for name, group in itertools.groupby(rows, key=lambda row: row.case):
+        members = tuple(group)
+        laws = [row for row in members if row.verdict == "agrees"] or list(members)
+        closest = max(laws, key=lambda row: (row.score if row.statistic == "chi2" else abs(row.score)) / row.limit)
+        rejected = sum(row.verdict.startswith("rejected") for row in members)
+        failures = sum(row.verdict == "FAILS" for row in members)
+        verdict = (
+            f"**{failures} FAIL**" if failures else "agrees" if len(laws) > rejected or not rejected else "rejected"
+        )
+        verdict += f", {rejected} wrong forms rejected" if rejected else ""
+        quantity, measured, error, exact, score, limit, _, settings = _cells(closest)
+        measured += f" ± {error}" if error else ""
+        lines.append(_line((name, str(len(members)), quantity, measured, exact, score, limit, verdict, settings)))
+    return "\n".join(lines) + "\n"
+
+
+def _head(columns: tuple[str, ...]) -> list[str]:
+    return [_line(columns), "| --- " * len(columns) + "|"]
+
+
+def _line(cells: tuple[str, ...]) -> str:
+    return "| " + " | ".join(cells) + " |"
 
 
 _COLUMNS = ("quantity", "measured", "error", "exact", "score", "limit", "verdict", "settings")

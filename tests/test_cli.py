@@ -1,19 +1,25 @@
 from __future__ import annotations
 
 import errno
+import json
 import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
+import xarray as xr
 
 import gonio
 import microsurfaces as ms
 from gonio.cli import main
 from gonio.experiment import Experiment
+from gonio.goniometer import Goniometer
 
 TOY = """
 title = "A toy"
@@ -160,6 +166,116 @@ def test_compare_judges_the_models_asked_for(run: Gonio, measured: Path) -> None
     assert "CookTorrance" not in out
 
 
+def test_compare_takes_settings_and_files_and_writes_numbers_and_maps(run: Gonio, measured: Path) -> None:
+    Path("two.toml").write_text(
+        '[[model]]\nkind = "Microfacet"\nmasking = {kind = "VCavity"}\n[[model]]\nkind = "Microfacet"'
+    )
+    tokens = ("--model", "cook-torrance m=0.5 k_d=0.1", "--model", "two.toml", "--all", "-o", "verdicts")
+    code, out, _ = run("compare", str(measured), *tokens)
+    assert code == 0
+    assert all(len(line) <= 80 for line in out.splitlines())
+    for words in (
+        "Microfacet (Beckmann, VCavity)",
+        "L2 (noise)",
+        "log-RMS",
+        "chi2 MC",
+        "All models, the best lobe first",
+    ):
+        assert words in out
+    names = ("CookTorrance", "Microfacet-2", "Microfacet-3")
+    assert files() == {"toy.toml", "two.toml", *(f"verdicts/{name}.{kind}" for name in names for kind in ("nc", "png"))}
+    with xr.open_dataset("verdicts/CookTorrance.nc", engine="h5netcdf", group="table") as table:
+        assert table["l1"].shape == (2, 1, 3)
+        assert "m=0.5" in table.attrs["model"]
+        assert "k_d=0.1, k_s=0.9" in table.attrs["model"]
+    with xr.open_dataset("verdicts/CookTorrance.nc", engine="h5netcdf", group="lobes") as lobes:
+        assert lobes["significance"].shape == (2, 1, 10, 18, 3)
+
+
+def test_a_model_that_no_detector_resolves_is_told(run: Gonio, measured: Path) -> None:
+    code, out, err = run(
+        "compare", str(measured), "--model", "microfacet distribution.alpha=1e-9", "--model", "ward alpha=1"
+    )
+    assert code == 1
+    assert "lobe too narrow" in err
+    assert err.splitlines()[-1] == "1 of 2 models could not be compared."
+    assert "Ward" in out
+
+
+def test_fit_prints_parameters_and_writes_models(run: Gonio, measured: Path) -> None:
+    tokens = ("--model", "cook-torrance", "--model", "microfacet", "--wavelength", "550", "-o", "new/fits.toml")
+    code, out, _ = run("fit", str(measured), *tokens)
+    assert code == 0
+    assert all(len(line) <= 80 for line in out.splitlines())
+    for words in ("95 % interval", "facets", "QAICc - best", "Models of the light of one hit, the best first"):
+        assert words in out
+    fitted = tomllib.loads(Path("new/fits.toml").read_text())["model"]
+    assert [model["kind"] for model in fitted] == ["CookTorrance", "Microfacet"]
+    assert f"{fitted[0]['m']:.2f}" in out
+    code, out, _ = run("compare", str(measured), "--model", "new/fits.toml")
+    assert code == 0
+    assert "All models" in out
+
+
+def test_fit_frees_what_is_named(run: Gonio, measured: Path) -> None:
+    code, out, _ = run("fit", str(measured), "--model", "cook-torrance k_s=0.9", "--free", "m", "--free", "k_s")
+    assert code == 0
+    assert "Correlations" in out
+    assert re.search(r"^ k_s ", out, flags=re.M)
+
+
+def test_check_recomputes_the_certificate(run: Gonio, measured: Path) -> None:
+    code, out, _ = run("check", str(measured))
+    assert code == 0
+    assert all(len(line) <= 80 for line in out.splitlines())
+    stored = json.loads(gonio.load(measured).attributes["certificate"])
+    for check in stored:
+        assert check["name"] in out
+    assert "Certificate: 15 checks" in out
+
+
+def test_check_of_a_damaged_file_fails(run: Gonio, measured: Path) -> None:
+    Path("damaged.nc").write_bytes(measured.read_bytes())
+    with h5py.File("damaged.nc", "r+") as file:
+        file["brdf"][0, 0, 0, 0, 0, 0] *= 1.001
+    code, out, err = run("check", "damaged.nc")
+    assert code == 1
+    assert "failed" in out
+    assert err == "damaged.nc fails: values. Do not use its numbers.\n"
+
+
+def test_a_run_tells_its_certificate(run: Gonio, undrawn: None) -> None:
+    code, out, _ = run("run", "toy.toml")
+    assert code == 0
+    assert "Certificate: 15 checks" in out
+    assert "realisations, warning: 2 specimens measured, limit 4" in out
+
+
+def test_validate_prints_and_writes_a_table(run: Gonio) -> None:
+    code, out, _ = run("validate", "--quick", "--case", "number", "-o", "new/table.md")
+    assert code == 0
+    assert all(len(line) <= 80 for line in out.splitlines())
+    assert "0 fail" in out
+    text = Path("new/table.md").read_text()
+    assert "half-pipe, 2 hits" in text
+    assert "agrees" in text
+
+
+def test_validate_tells_a_failure(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = Goniometer.measure
+
+    def crooked(self, scene, seed, threads=None):
+        measurement = honest(self, scene, seed, threads)
+        sums = measurement.sums.assign(weight=measurement.sums["weight"] * 99 // 100)
+        return replace(measurement, sums=sums)
+
+    monkeypatch.setattr(Goniometer, "measure", crooked)
+    code, out, err = run("validate", "--quick", "--case", "number")
+    assert code == 1
+    assert "FAILS" in out
+    assert err.splitlines()[-1].endswith("numbers are not as they should be.")
+
+
 def test_plot_draws_into_a_folder(run: Gonio, measured: Path) -> None:
     code, out, _ = run("plot", str(measured), "-o", "pictures")
     assert code == 0
@@ -235,6 +351,10 @@ def test_public_names_are_all_there() -> None:
         ("compare missing.nc", 2, "missing.nc: there is no such file"),
         ("compare toy.toml", 2, "not a measurement that gonio wrote"),
         ("plot toy.toml", 2, "not a measurement that gonio wrote"),
+        ("fit toy.toml --model ward", 2, "not a measurement that gonio wrote"),
+        ("check toy.toml", 2, "not a measurement that gonio wrote"),
+        ("check missing.nc", 2, "missing.nc: there is no such file"),
+        ("validate --case nonsense", 2, "no such case; they are V-grooves"),
         ("export toy.toml --to x.exr", 2, "not a measurement that gonio wrote"),
         ("list Gausian", 2, "did you mean Gaussian?"),
     ],
@@ -254,6 +374,13 @@ def test_what_goes_wrong_is_one_sentence(run: Gonio, tokens: str, code: int, wor
     [
         ("compare NC --model Wardd", 2, "Wardd: there is no such model"),
         ("compare NC --model Lambert", 2, "Lambert"),
+        ("compare NC --model missing.toml", 2, "missing.toml: there is no such file"),
+        ("compare NC --model toy.toml", 2, "has no tables [[model]] with a kind"),
+        ("compare NC --floor 2", 2, "--floor 2: must be 0 or more and less than 1"),
+        ("fit NC", 2, "--model"),
+        ("fit NC --model ward --free m", 2, "'m' is no parameter of Ward that can be fitted"),
+        ("fit NC --model cook-torrance --free m --free m_x", 2, "cannot be fitted together"),
+        ("fit NC --model cook-torrance --theta-i 5", 2, "theta_i = 5: not measured; choose from 0, 30 degrees"),
         ("export NC --to toy.foo", 2, "the formats are .exr"),
         ("export NC --to toy.toml/x.exr", 1, "toy.toml is a file"),
         ("plot NC -o toy.toml", 1, "is a file"),

@@ -261,10 +261,15 @@ def test_a_wide_beam_is_mentioned():
 def test_pools_are_neighbours_with_enough_hits_and_lose_nothing():
     rng = np.random.default_rng(3)
     for hits in (rng.poisson(2.0, 500), np.zeros(7, int), np.array([100]), np.array([9, 1, 10, 3, 30, 2])):
-        first = _pools(hits)
+        counts = hits[:, None].astype(float)
+        first = _pools(hits, counts, counts)
         counts = np.add.reduceat(hits, first)
         assert first[0] == 0
         assert (np.diff(first) > 0).all()
         assert counts.sum() == hits.sum()
         assert (counts >= min(ENOUGH_HITS, hits.sum())).all()
-    assert _pools(np.array([9, 1, 10, 3, 30, 2])).tolist() == [0, 2, 3]
+    hits = np.array([9, 1, 10, 3, 30, 2])
+    energy = hits[:, None] * np.array([0.5, 1.0])
+    assert _pools(hits, energy, energy**2 / hits[:, None]).tolist() == [0, 2, 3]
+    # Hits that come in clusters of three: 30 are worth 10.
+    assert _pools(hits, energy, 3 * energy**2 / hits[:, None]).tolist() == [0]
