@@ -1,7 +1,7 @@
 # make demo    install into .venv and measure a gold surface: out/gold_beckmann/
 # make test    install what the tests need and run them
 # make check   the tests and everything a change is held to before it is shared
-# make bench   how many paths a second, against a bare Embree loop
+# make bench   how many paths a second, against a bare Embree loop; how many values of a model
 # make clean   remove what these made
 
 PYTHON ?= python3
@@ -25,6 +25,7 @@ check: $(VENV)/dev
 
 bench: $(VENV)/demo
 	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/models.py
 
 clean:
 	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

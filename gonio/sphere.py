@@ -16,8 +16,12 @@ Vectors = NDArray[np.float64]
 
 
 def direction(theta: ArrayLike, phi: ArrayLike = 0.0) -> Vectors:
-    """Unit vectors (..., 3) of polar angle `theta` and azimuth `phi`, degrees, broadcast against each other."""
+    """Unit vectors (..., 3) of polar angle `theta` and azimuth `phi`, degrees, broadcast against each other.
+
+    The pole itself is left by 1e-100, so that a direction keeps the azimuth from which `dphi` is counted.
+    """
     t, p = np.broadcast_arrays(np.radians(theta), np.radians(phi))
+    t = np.where(t == 0.0, 1e-100, t)
     return np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1)
 
 

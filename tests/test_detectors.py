@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from gonio.detectors import Apertures, HemisphereGrid
+from gonio.models import PoulinFournier
+from gonio.optics import Mirror
 from gonio.sphere import angles, direction, rotate_z
 
 GRIDS = [
@@ -67,3 +69,16 @@ def test_a_grid_turns_with_the_lamp_and_apertures_do_not():
     theta, phi = angles(centre / np.linalg.norm(centre))
     assert abs(phi[0] - 130) < 1e-9
     assert 39 < theta[0] < 40  # the cosine pulls the mean towards the normal
+
+
+def test_light_from_the_pole_keeps_the_azimuth_that_dphi_counts_from():
+    """Across cylinders at azimuth 0, lit from above with phi_i = 30, light leaves at dphi = 150 and 330."""
+    grid = HemisphereGrid(theta_step=10.0, phi_step=10.0)
+    model = PoulinFournier(local=Mirror(), distance=1.5)
+    lobe = model.average(direction(0.0, 30.0), grid)[:, 0].reshape(grid.shape)
+    lit = grid.dphi[(lobe[1:] > 0).any(axis=0)]
+    np.testing.assert_allclose(lit, [150.0, 330.0])
+    strips = PoulinFournier(local=Mirror(), distance=5.0).average(direction(0.0, 30.0), grid)[:, 0]
+    assert strips.argmax() == 0  # the pole itself is in the first sector
+    np.testing.assert_allclose(angles(direction(0.0, 211.0))[1], 211.0)
+    np.testing.assert_allclose(direction(0.0, 211.0), [0.0, 0.0, 1.0], atol=1e-99)

@@ -53,6 +53,11 @@ def smith(alpha, distribution=Beckmann):
             PoulinFournier(profile="grooves", distance=1.4, local=Lambertian(0.6)),
             {"distance": 3.0, "local.reflectance": 0.9},
         ),
+        (
+            PoulinFournier(distance=3.0, floor_height=0.4, local=Lambertian(0.6)),
+            {"distance": 4.0, "floor_height": 0.1, "local.reflectance": 0.9},
+        ),
+        (PoulinFournier(distance=1.6, local=Conductor(eta=0.5, k=3.0)), {"distance": 2.5}),
         (OrenNayar(sigma=25.0, reflectance=0.6), {"sigma": 5.0, "reflectance": 0.9}),
         (Ward(alpha=0.2, specular=0.3, reflectance=0.4), {"alpha": 0.5, "specular": 0.1, "reflectance": 0.1}),
         (AshikhminShirley(n=50.0, specular=0.3, reflectance=0.4), {"n": 200.0, "specular": 0.6}),

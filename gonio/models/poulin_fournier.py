@@ -364,4 +364,5 @@ def _deposit(share: Array, power: Array, wo: Vectors, lamp: Vectors, angle: floa
     rings, sectors = detector.shape
     ring = np.clip(np.searchsorted(detector.theta_edges, theta, side="right") - 1, 0, rings - 1)
     sector = np.floor((phi - angles(lamp)[1]) / 360 * sectors + 0.5).astype(int) % sectors
-    np.add.at(share, ring * sectors + np.where(theta > 0.0, sector, 0), power)
+    # The pole is in the first sector.
+    np.add.at(share, ring * sectors + np.where(theta > 1e-9, sector, 0), power)
