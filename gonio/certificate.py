@@ -11,19 +11,18 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from gonio.compare import ENOUGH_HITS
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.measurement import FATES, Measurement, load
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror, fresnel_conductor
 from gonio.tally import UNIT
-from microsurfaces import Surface
-from microsurfaces.mesh import SLOPE_AZIMUTHS, SLOPES, Floats
+from microsurfaces.mesh import SLOPE_AZIMUTHS, SLOPES, Floats, SlopeLaw
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -472,13 +471,13 @@ def _comparable(pair: tuple[Place, Place], data: xr.Dataset) -> bool:
 # --- The surface ------------------------------------------------------------------------------------------------------
 
 
-def _recipe(measurement: Measurement) -> Any:
-    """The surface recipe of the experiment; None if the measurement is not one's, or the recipe unknown here."""
-    try:
-        table = json.loads(measurement.attributes["experiment"])["surface"]
-        return TypeAdapter(Surface).validate_json(json.dumps(table))
-    except (KeyError, ValidationError):
-        return None
+@runtime_checkable
+class _Sloped(Protocol):
+    """A recipe that asks for a distribution of slopes."""
+
+    def expected_slopes(self, azimuth: float, slopes: Floats) -> SlopeLaw:
+        """Along an azimuth in degrees."""
+        ...
 
 
 def _normals(measurement: Measurement, sums: _Sums) -> Check:
@@ -489,8 +488,8 @@ def _normals(measurement: Measurement, sums: _Sums) -> Check:
     """
     from scipy.special import ndtri
 
-    surface, facets = _recipe(measurement), measurement.facets
-    if facets is None or not hasattr(surface, "expected_slopes"):
+    surface, facets = measurement.surface, measurement.facets
+    if facets is None or not isinstance(surface, _Sloped):
         why = (
             "the measurement does not say which surface was asked for: only `run` of an experiment notes it."
             if surface is None or facets is None
@@ -527,7 +526,7 @@ def _judged(cdf: Floats, spread: Floats) -> NDArray[np.bool_]:
     return np.asarray((spread == 0) | (independent * tail > INDEPENDENT_TAIL))
 
 
-def _distances(surface: Any, found: Floats) -> Floats:
+def _distances(surface: _Sloped, found: Floats) -> Floats:
     """Distance of shares (azimuths, slopes) from the recipe's, whose steps may be rounded to either side."""
     hair = 1e-6 * np.abs(SLOPES)
     below, above = (
@@ -572,8 +571,8 @@ def _replicates(measurement: Measurement) -> Check:
 
 def _realisations(measurement: Measurement, sums: _Sums) -> Check:
     """Whether the result speaks of a class of surfaces."""
-    surface, count = _recipe(measurement), int(sums.realisations.min())
-    alike = hasattr(surface, "expected_slopes") and not surface.expected_slopes(0.0, SLOPES).spread.any()
+    surface, count = measurement.surface, int(sums.realisations.min())
+    alike = isinstance(surface, _Sloped) and not surface.expected_slopes(0.0, SLOPES).spread.any()
     enough = 1 if alike else ENOUGH_REALISATIONS
     found = f"{count} specimen{'s' if count > 1 else ''} measured, limit {enough}"
     found += f" ({type(surface).__name__} is the same for every seed)" if alike else ""

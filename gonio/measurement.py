@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from gonio.detectors import Apertures, Detector, HemisphereGrid
 from gonio.optics import Material
@@ -99,9 +99,11 @@ class Measurement:
 
     @property
     def surface(self) -> Surface | None:
-        """The recipe of the surface, of a measurement that an experiment made; None of any other."""
-        noted = self.attributes.get("experiment")
-        return None if noted is None else _SURFACE.validate_json(json.dumps(json.loads(noted)["surface"]))
+        """The recipe of the surface; None if no experiment made the measurement, or if the recipe is not known here."""
+        try:
+            return _SURFACE.validate_json(json.dumps(json.loads(self.attributes["experiment"])["surface"]))
+        except (KeyError, ValidationError):
+            return None
 
     @property
     def facets(self) -> Facets | None:
