@@ -21,7 +21,7 @@ from gonio.compare import ENOUGH_HITS
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.measurement import FATES, Measurement, load
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror, fresnel_conductor
-from gonio.tally import UNIT
+from gonio.tally import UNIT, Wide
 from microsurfaces.mesh import SLOPE_AZIMUTHS, SLOPES, Floats, SlopeLaw
 
 if TYPE_CHECKING:
@@ -147,11 +147,11 @@ def certify_file(path: str | Path) -> Certificate:
     """
     import xarray as xr
 
-    measurement = load(path)
     try:
+        measurement = load(path)
         with xr.open_dataset(path, engine="h5netcdf") as stored:
             return certify(measurement, stored.load())
-    except (KeyError, IndexError, ValidationError, json.JSONDecodeError) as error:
+    except (LookupError, TypeError, AttributeError, ValidationError, json.JSONDecodeError) as error:
         what = " ".join(str(error).split())
         raise ValueError(f"{path}: not a measurement that gonio wrote, or it is damaged ({what})") from None
 
@@ -169,8 +169,8 @@ class _Sums(NamedTuple):
     """(N, orders, bins, W): all orders first, the hemisphere last."""
     hits: Integers
     """(N, orders, bins)."""
-    squares: NDArray[np.uint64]
-    """Squares of `weight`, summed over realisations: the lower 64 bits."""
+    squares: Wide
+    """Squares of `weight`, summed over realisations."""
     fates: dict[str, Integers]
     """(N, W) of each fate."""
     paths: Integers
@@ -187,15 +187,16 @@ class _Sums(NamedTuple):
         at = np.nonzero(sums["paths"].values)
         if not at[0].size:
             raise ValueError("The measurement holds no measured incidence to check: run it again to the end.")
-        names = ("weight", "hits", "realisation_squares_low", "ledger", "paths", "realisations")
-        weight, hits, squares, ledger, paths, realisations = (sums[name].values[at] for name in names)
+        names = ("weight", "hits", "ledger", "paths", "realisations")
+        weight, hits, ledger, paths, realisations = (sums[name].values[at] for name in names)
+        high, low = (sums[f"realisation_squares_{half}"].values[at] for half in ("high", "low"))
         return cls(
             sums["theta_i"].values[at[0]],
             sums["phi_i"].values[at[1]],
             sums["wavelength"].values,
             weight,
             hits,
-            squares,
+            Wide(high, low),
             {fate: ledger[:, k] for k, fate in enumerate(FATES)},
             paths,
             realisations,
@@ -263,8 +264,9 @@ def _orders(sums: _Sums, covers: bool) -> Check:
         false += [values[:, 0] != values[:, 1:].sum(axis=1)]
         false += [bins.sum(axis=2) != hemisphere if covers else bins.max(axis=2) > hemisphere]
     alone = sums.realisations == 1
-    weight = sums.weight[alone].astype(np.uint64)
-    false += [weight * weight != sums.squares[alone]]
+    squares = Wide.zeros(sums.weight[alone].shape)
+    squares.add_square(sums.weight[alone])
+    false += [(squares.high != sums.squares.high[alone]) | (squares.low != sums.squares.low[alone])]
     count = int(sum(np.count_nonzero(contradictions) for contradictions in false))
     found = (
         f"orders add up to their total, bins to the hemisphere and weights to no more than their hits, with {count} "
@@ -288,12 +290,12 @@ def _values(fresh: xr.Dataset, stored: xr.Dataset) -> Check:
 
 
 def _deviation(stored: xr.Dataset, fresh: xr.Dataset, name: str) -> float:
-    """Largest relative deviation of a variable from what it should be; 1 where they cannot be compared."""
+    """Largest relative deviation of a variable from what it should be; 1 for what is not the same and must be."""
     expected = fresh[name].values
     if name not in stored.variables or stored[name].shape != expected.shape:
         return 1.0
     found = stored[name].values
-    if expected.dtype.kind not in "fiu":
+    if {expected.dtype.kind, found.dtype.kind} != {"f"}:
         return float((found != expected).any())
     same = (found == expected) | (np.isnan(found) & np.isnan(expected))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -653,29 +655,20 @@ def _geometric_optics(measurement: Measurement, sums: _Sums) -> Check:
     if isinstance(measurement.material, Lambertian) or not numbers:
         why = "a diffuser, a plane, or a relief of edges has no length to hold against the wavelength."
         return _not_applicable("geometric optics", why)
-    wavelength = float(sums.wavelengths.max()) / 1000
-    coherent = _coherent_share(correlation, statistics["Sq"], float(sums.theta.max()), wavelength)
+    wavelength, theta, height = float(sums.wavelengths.max()) / 1000, float(sums.theta.max()), statistics["Sq"]
+    numbers["wavelength"] = wavelength
     doubts = [f"the {name}" for name, length in lengths.items() if length is not None and length < wavelength]
-    doubts += ["the height"] if coherent > COHERENT_SHARE else []
     found = f"wavelength {wavelength:g} µm, the limit for {', '.join(_in_words(lengths))}"
-    found += (
-        f"; coherent share {coherent:.2g} at theta_i {sums.theta.max():g}, limit {COHERENT_SHARE:g}"
-        if correlation is not None
-        else ""
-    )
+    if correlation is not None and height is not None:
+        coherent = float(np.exp(-((4 * np.pi * height * np.cos(np.radians(theta)) / wavelength) ** 2)))
+        numbers |= {"coherent_share": coherent, "coherent_limit": COHERENT_SHARE}
+        doubts += ["the height"] if coherent > COHERENT_SHARE else []
+        found += f"; coherent share {coherent:.2g} at theta_i {theta:g}, limit {COHERENT_SHARE:g}"
     advice = (
         f"{' and '.join(doubts)} of the relief would show waves that rays do not know of; enlarge it, take shorter "
         "wavelengths, or read the result as the limit of large reliefs"
     )
-    numbers |= {"wavelength": wavelength, "coherent_share": coherent, "coherent_limit": COHERENT_SHARE}
     return _outcome("geometric optics", not doubts, found, advice, numbers, "warning")
-
-
-def _coherent_share(correlation: float | None, height: float | None, theta: float, wavelength: float) -> float:
-    """Share of coherent light; 0 for a relief that is no random height field."""
-    if correlation is None or height is None:
-        return 0.0
-    return float(np.exp(-((4 * np.pi * height * np.cos(np.radians(theta)) / wavelength) ** 2)))
 
 
 def _in_words(lengths: dict[str, float | None]) -> list[str]:

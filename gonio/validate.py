@@ -724,7 +724,11 @@ def _smith_and_cavity(m: float, alpha: float, light: _Light) -> Iterator[_Findin
 
 
 def _rough_cylinder_lobes(quick: bool) -> Iterator[_Finding]:
-    """Cylinders with a fine Gaussian relief are Poulin and Fournier's with a rough mirror as local reflection."""
+    """Cylinders with a fine Gaussian relief are Poulin and Fournier's with a rough mirror as local reflection.
+
+    The relief is fine, not infinitely so, and Smith's masking of it is no law: albedos and the mean of the bins are held
+    to 1 %, single bins to 3 % rms.
+    """
     shapes: tuple[tuple[Literal["ridges", "grooves"], float], ...] = (("ridges", 0.2), ("grooves", 0.3))
     if not quick:
         shapes = tuple(itertools.product(("ridges", "grooves"), (0.1, 0.2, 0.3)))
@@ -750,7 +754,7 @@ def _one_relief(profile: Literal["ridges", "grooves"], alpha: float, tau: float,
         exact = _predicted(model, theta, phi)
         found = _residuals(light.shares[:, i, 0, 1], exact, exact.bins * light.paths > 2000)
         where = f"{profile}, alpha = {alpha:g}, theta {theta:g}"
-        yield from _in_per_cent(where, light.settings, found, (0.0, 0.0), (1.0, 1.0, 2.0))
+        yield from _in_per_cent(where, light.settings, found, (0.0, 0.0), (1.0, 1.0, 3.0))
 
 
 # --- Known numbers ----------------------------------------------------------------------------------------------------
