@@ -406,7 +406,7 @@ class _Seen(NamedTuple):
     error: Floats
     """Monte Carlo standard error."""
     path: Floats
-    """What one path more would add."""
+    """What a path adds, the mean over those that arrived."""
     freedom: Floats
     """Degrees of freedom of the error."""
 
@@ -414,12 +414,11 @@ class _Seen(NamedTuple):
     def at(cls, data: xr.Dataset, places: tuple[Place, ...]) -> _Seen:
         """The apertures at these places."""
         row, column, aperture = np.array(places).T
-        value, error = (
-            data[name].sel(order="all").values[row, column, aperture] for name in ("brdf", "standard_error_mc")
+        value, error, hits = (
+            data[name].sel(order="all").values[row, column, aperture] for name in ("brdf", "standard_error_mc", "hits")
         )
-        path = 1 / (data["paths"].values[row, column] * data["projected_solid_angle"].values[aperture])
         freedom = data["degrees_of_freedom_mc"].values[row, column].astype(np.float64)
-        return cls(value, error, path[:, None], freedom[:, None])
+        return cls(value, error, value / hits[:, None], freedom[:, None])
 
     def difference(self, other: _Seen) -> tuple[Floats, Floats]:
         """Student's t and its degrees of freedom (Welch), each (pairs, W).

@@ -175,9 +175,7 @@ def summary(rows: Iterable[Row]) -> str:
         closest = max(laws, key=lambda row: (row.score if row.statistic == "chi2" else abs(row.score)) / row.limit)
         rejected = sum(row.verdict.startswith("rejected") for row in members)
         failures = sum(row.verdict == "FAILS" for row in members)
-        verdict = (
-            f"**{failures} FAIL**" if failures else "agrees" if len(laws) > rejected or not rejected else "rejected"
-        )
+        verdict = f"**{failures} FAIL**" if failures else "agrees"
         verdict += f", {rejected} wrong forms rejected" if rejected else ""
         quantity, measured, error, exact, score, limit, _, settings = _cells(closest)
         measured += f" ± {error}" if error else ""
@@ -726,8 +724,8 @@ def _smith_and_cavity(m: float, alpha: float, light: _Light) -> Iterator[_Findin
 def _rough_cylinder_lobes(quick: bool) -> Iterator[_Finding]:
     """Cylinders with a fine Gaussian relief are Poulin and Fournier's with a rough mirror as local reflection.
 
-    The relief is fine, not infinitely so, and Smith's masking of it is no law: albedos and the mean of the bins are held
-    to 1 %, single bins to 3 % rms.
+    The relief is fine, not infinitely so, and Smith's masking of it is no law: albedos and the mean of the bins are
+    held to 1 %, single bins to 3 % rms.
     """
     shapes: tuple[tuple[Literal["ridges", "grooves"], float], ...] = (("ridges", 0.2), ("grooves", 0.3))
     if not quick:

@@ -188,7 +188,7 @@ def test_fits_of_different_data_are_not_ranked():
 # --- What the field expects -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("alpha", "limit"), [(0.3, 0.01), (0.8, 0.02)])
+@pytest.mark.parametrize(("alpha", "limit"), [(0.3, 0.01), (0.5, 0.01), (0.8, 0.02)])
 def test_smith_finds_the_roughness_of_gaussian_surfaces(alpha, limit):
     """Eight traced patches: Smith's alpha is the facets', and V-cavities must bend their m to imitate the lobes."""
     surface = ms.Gaussian(alpha=alpha, correlation_length=12.0, side=480.0, samples=480)
