@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import itertools
 import os
 import sys
 import tempfile
@@ -633,7 +634,7 @@ def validate(
     """
     from gonio import tables
     from gonio.experiment import InputError
-    from gonio.validate import CASES, markdown
+    from gonio.validate import CASES, Row, markdown
     from gonio.validate import run as measured
     from microsurfaces.files import replacing
 
@@ -642,10 +643,16 @@ def validate(
     names = [one.name for one in CASES if not case or any(part.lower() in one.name.lower() for part in case)]
     if not names:
         raise InputError(f"--case {' '.join(case)}: no such case; they are {'; '.join(one.name for one in CASES)}.")
-    started = time.monotonic()
-    with _cases() as meter:
-        rows = measured(quick, names, meter)
-    _show("Ground truth", tables.validation(rows))
+    started, rows, interrupted = time.monotonic(), list[Row](), False
+    with _cases() as show:
+        try:
+            for done, name in enumerate(names):
+                show(name, done / len(names))
+                rows += measured(quick, (name,))
+        except KeyboardInterrupt:
+            interrupted = True
+    for name, group in itertools.groupby(rows, key=lambda row: row.case):
+        _show(name, tables.validation(group))
     failures = sum(row.verdict == "FAILS" for row in rows)
     _say(
         f"{len(rows)} numbers in {time.monotonic() - started:.0f} s, {failures} fail. Scores are Student's t, the "
@@ -656,6 +663,8 @@ def validate(
         with replacing(output) as path:
             path.write_text(markdown(rows), encoding="utf-8")
         print(output)
+    if interrupted:
+        raise RunError(f"Interrupted after {len({row.case for row in rows})} of {len(names)} cases.")
     if failures:
         raise RunError(f"{failures} of {len(rows)} numbers are not as they should be.")
 

@@ -216,17 +216,13 @@ def checks(found: Certificate) -> Table:
 
 
 def validation(rows: Iterable[Row]) -> Table:
-    """Every number of the ground truth, case by case."""
-    table = _headed("case, quantity", "measured", "error", "exact", "score", "limit", "verdict")
-    previous = None
+    """Every number of one case of the ground truth."""
+    table = _headed("quantity", "measured", "error", "exact", "score", "limit", "verdict")
     for row in rows:
-        if row.case != previous:
-            table.add_row(row.case, style="bold")
-            previous = row.case
-        error = "" if math.isnan(row.error) else f"{row.error:.2g}"
+        error = "" if math.isnan(row.error) else f"{row.error:.1g}"
         score = f"{row.statistic} {row.score:.2g}".replace("difference", "off by")
-        numbers = (f"{row.measured:.5g}", error, f"{row.exact:.5g}", score, f"{row.limit:.3g}")
-        table.add_row(f"  {row.quantity}", *numbers, row.verdict.split(" ")[0], style=_COLOURS.get(row.verdict))
+        numbers = (f"{row.measured:.5g}", error, f"{row.exact:.5g}", score, f"{row.limit:.2g}")
+        table.add_row(row.quantity, *numbers, row.verdict.split(" ")[0], style=_COLOURS.get(row.verdict))
     return table
 
 

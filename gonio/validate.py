@@ -119,27 +119,16 @@ class Case:
     """Called with `quick`; its docstring says what is tested."""
 
 
-def run(
-    quick: bool, names: Iterable[str] | None = None, progress: Callable[[str, float], None] | None = None
-) -> tuple[Row, ...]:
+def run(quick: bool, names: Iterable[str] | None = None) -> tuple[Row, ...]:
     """Run the cases of these names, or all of them; `quick` with smaller surfaces and fewer paths.
 
-    Seeds are fixed: the rows are the same every time. `progress` is told the name of the case that begins and the share
-    of the cases that are done. Raises ValueError for a name that is no case.
+    Seeds are fixed: the rows are the same every time. Raises ValueError for a name that is no case.
     """
     known = {case.name: case for case in CASES}
     wanted = tuple(known if names is None else names)
     if unknown := [name for name in wanted if name not in known]:
         raise ValueError(f"case {unknown[0]!r} is not known: choose from {', '.join(map(repr, known))}")
-    chosen = [known[name] for name in wanted]
-    rows: list[Row] = []
-    for done, case in enumerate(chosen):
-        if progress:
-            progress(case.name, done / len(chosen))
-        rows.extend(_rows(case, quick))
-    if progress:
-        progress("done", 1.0)
-    return tuple(rows)
+    return tuple(row for name in wanted for row in _rows(known[name], quick))
 
 
 def markdown(rows: Iterable[Row]) -> str:

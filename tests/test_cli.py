@@ -17,6 +17,7 @@ import xarray as xr
 
 import gonio
 import microsurfaces as ms
+from gonio import validate
 from gonio.cli import main
 from gonio.experiment import Experiment
 from gonio.goniometer import Goniometer
@@ -259,6 +260,21 @@ def test_validate_prints_and_writes_a_table(run: Gonio) -> None:
     text = Path("new/table.md").read_text()
     assert "half-pipe, 2 hits" in text
     assert "agrees" in text
+
+
+def test_validate_keeps_what_was_done_before_ctrl_c(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = validate.run
+
+    def until_pits(quick: bool, names: tuple[str]) -> tuple[validate.Row, ...]:
+        if names == ("spherical pits",):
+            raise KeyboardInterrupt
+        return honest(quick, names)
+
+    monkeypatch.setattr("gonio.validate.run", until_pits)
+    code, _, err = run("validate", "--quick", "--case", "hits", "--case", "pits", "-o", "table.md")
+    assert code == 1
+    assert err.splitlines()[-1] == "Interrupted after 1 of 2 cases."
+    assert "half-pipe, 2 hits" in Path("table.md").read_text()
 
 
 def test_validate_tells_a_failure(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
