@@ -71,10 +71,14 @@ def statistics(values: Mapping[str, float | None]) -> Table:
 
 
 def name_of(model: Model) -> str:
-    """A model's name, and those of the parts that are a matter of choice."""
+    """A model's name, those of the parts that are a matter of choice, and the numbers that are."""
+    from gonio.models.parameters import owner
+
     parts = (getattr(model, part) for part in ("distribution", "masking", "local") if part in fields(type(model)))
     named = ", ".join(type(part).__name__ for part in parts)
-    return type(model).__name__ + (f" ({named})" if named else "")
+    numbers = ((name.rsplit(".", 1)[-1], getattr(owner(model, name), name.rsplit(".", 1)[-1])) for name in model.free)
+    told = "".join(f", {name} {value:.4g}" for name, value in numbers if value is not None)
+    return type(model).__name__ + (f" ({named})" if named else "") + told
 
 
 def light(order: str) -> str:

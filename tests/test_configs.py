@@ -18,6 +18,7 @@ NAMES = {
     "gold_beckmann",
     "height_map",
     "lambertian_rough",
+    "reciprocity",
     "silver_anisotropic",
     "v_grooves",
 }
