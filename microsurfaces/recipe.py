@@ -7,6 +7,7 @@ TOML: `kind`, the name of its class, says which member of a union a table is.
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from types import UnionType
@@ -204,11 +205,11 @@ def _choice(names: Sequence[str]) -> str:
 
 
 def from_toml(text: str) -> Any:
-    """`text` read as a TOML value; what is none, such as a bare word, is text."""
+    """`text` read as a TOML value, .5 and 5. as numbers; what is none, such as a bare word, is text."""
     try:
         parsed = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
-        return text
+        return float(text) if re.fullmatch(r"[+-]?(\d+\.|\.\d+)", text) else text
     return parsed["value"] if len(parsed) == 1 else text
 
 

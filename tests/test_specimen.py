@@ -44,6 +44,8 @@ ROUGH = Specimen({"beckmann_alpha": 0.25}, GOLD)
         ),
         ("ward alpha=0.2", Ward(alpha=0.2)),
         ("lambert reflectance=0.3", Lambert(0.3)),
+        ("lambert reflectance=.3", Lambert(0.3)),
+        ("lambert reflectance=1", Lambert(1.0)),
         ("poulin-fournier distance=3", PoulinFournier(local=GOLD, distance=3.0)),
     ],
 )
