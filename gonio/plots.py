@@ -652,7 +652,7 @@ def _slice_legend(measurement: Measurement, wavelengths: Sequence[float], models
     handles.append(Patch(color=INK, alpha=0.25, lw=0, label="± 2 standard errors"))
     point: dict[str, Any] = {"color": INK, "mfc": "white", "ls": "none", "ms": 5}
     for model, marker in zip(models, MARKERS, strict=False):
-        handles.append(Line2D([], [], marker=marker, label=f"{type(model).__name__} (1 hit)", **point))
+        handles.append(Line2D([], [], marker=marker, label=f"{type(model).__name__} ({_hits(model.order)})", **point))
     handles.append(Line2D([], [], marker="v", color=LAMP, ls="none", ms=8, label="lamp"))
     handles.append(Line2D([], [], marker="^", color=MIRROR, ls="none", ms=8, label="mirror direction"))
     return handles

@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib import colormaps
+from matplotlib import colors as colours
 from PIL import Image
 
 import gonio
@@ -296,3 +298,24 @@ def test_bins_without_light_or_with_little_are_blank():
     np.testing.assert_array_equal(np.isnan(shown.value).all(axis=1), GRID.theta >= 45)
     np.testing.assert_array_equal(np.isnan(shown.error).all(axis=1), (GRID.theta >= 45) | (np.arange(19) < 3))
     assert np.nanmax(shown.error) == pytest.approx(100 * 0.1 / 0.3)
+
+
+def test_a_map_of_differences_is_red_where_the_model_is_too_bright(tmp_path):
+    """A model that is 40 % too bright on the lamp's side and as much too dark on the mirror's."""
+    measurement = from_function(lambda theta, dphi: np.where(np.cos(np.radians(dphi)) > 0, 1 / 1.4, 1 / 0.6))
+    dims = ("theta_i", "phi_i", "theta_o", "dphi", "wavelength")
+    measured = measurement.dataset["brdf"].sel(order="1")
+    lobes = xr.Dataset(
+        {
+            "measured": (dims, measured.values),
+            "model": (dims, np.ones(measured.shape)),
+            "significance": (dims, (measured.values - 1) / 0.1),
+        },
+        {name: measured[name].values for name in dims},
+    )
+    verdict = SimpleNamespace(lobes=lobes, order="1", model=Lambert(0.5))
+    picture = pixels(plots.difference(measurement, verdict, tmp_path / "map.png"))
+    maps = picture[:, : int(0.65 * picture.shape[1])]  # the colour bars are on the right
+    bright, dark = (where(maps, colours.to_hex(colormaps["RdBu_r"](share)), 25)[0] for share in (0.9, 0.1))
+    assert min(len(bright), len(dark)) > 5000
+    assert np.quantile(bright, 0.95) < np.quantile(dark, 0.05)
