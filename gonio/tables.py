@@ -166,8 +166,10 @@ def ranking(verdicts: Sequence[Verdict]) -> Table:
 def parameters(found: Fit) -> Table:
     """Fitted numbers with their errors and intervals, and what the facets have in their place."""
     table = _headed("parameter", "value", "noise", "misfit", "95 % interval", "facets")
+    table.columns[0].no_wrap = True
     for each in found.parameters:
-        digits = 4 if not each.standard_error > 0 else min(8, max(3, 1 - math.floor(math.log10(each.standard_error))))
+        error = max(each.standard_error, 1e-8)
+        digits = min(max(1 - math.floor(math.log10(error)), 0), 8)
         facets = "" if not each.facets else f"{each.facets:.{digits}f}, {each.value / each.facets - 1:+.1%}"
         table.add_row(
             each.name,
@@ -235,7 +237,9 @@ def validation(rows: Iterable[Row]) -> Table:
 
 def _headed(first: str, *others: str) -> Table:
     """A table of these columns, the first of words, the others of numbers."""
-    table = Table(box=box.SIMPLE_HEAD, caption_justify="left", pad_edge=False, collapse_padding=True)
+    table = Table(
+        box=box.SIMPLE_HEAD, caption_justify="left", pad_edge=False, collapse_padding=True, padding=(0, 1, 0, 0)
+    )
     table.add_column(first)
     for heading in others:
         table.add_column(heading, justify="right")
