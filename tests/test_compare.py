@@ -273,3 +273,32 @@ def test_pools_are_neighbours_with_enough_hits_and_lose_nothing():
     assert _pools(hits, energy, energy**2 / hits[:, None]).tolist() == [0, 2, 3]
     # Hits that come in clusters of three: 30 are worth 10.
     assert _pools(hits, energy, 3 * energy**2 / hits[:, None]).tolist() == [0]
+
+
+# --- Conclusions ------------------------------------------------------------------------------------------------------
+
+
+def test_the_conclusion_says_below_which_noise_or_how_large_the_difference_is():
+    right = compare(synthetic(seed=1), TRUTH).conclusion()
+    assert right.startswith("the disagreement is below the Monte Carlo noise, which is up to ")
+    shifted = (synthetic(seed=seed, realisations=8, noise=1e-4, common=0.02) for seed in range(12))
+    words = " ".join(compare(measurement, TRUTH).conclusion() for measurement in shifted)
+    assert "below the noise of specimens, though not of Monte Carlo, which is up to" in words
+    assert "specimens differ too much to tell" in words
+    wrong = compare(synthetic(seed=1, noise=1e-3, theta_i=(0.0, 60.0)), CookTorrance(m=0.4, material=Mirror()))
+    assert wrong.conclusion().startswith("noise does not explain the difference at 2 of 2 incidences and wavelengths")
+    row = wrong.worst_rows()[1]
+    assert f"off by up to {row['albedo_bias']:+.2%}" in wrong.conclusion() or "(theta_i 0" in wrong.conclusion()
+    assert "(L1) beyond noise" in wrong.conclusion()
+
+
+def test_a_verdict_is_a_file(tmp_path):
+    verdict = compare(synthetic(seed=1, wavelengths=(450.0, 650.0)), TRUTH)
+    path = verdict.save(tmp_path / "verdict.nc")
+    with xr.open_dataset(path, engine="h5netcdf", group="table") as table:
+        np.testing.assert_array_equal(table["l1"], verdict.table["l1"])
+        np.testing.assert_array_equal(table["albedo_differs"], verdict.table["albedo_differs"])
+        assert table.attrs["model"] == repr(TRUTH)
+    with xr.open_dataset(path, engine="h5netcdf", group="lobes") as lobes:
+        xr.testing.assert_equal(lobes["significance"], verdict.lobes["significance"])
+        assert lobes["measured"].attrs["units"] == "sr-1"
