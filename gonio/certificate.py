@@ -83,9 +83,14 @@ class Certificate:
     checks: tuple[Check, ...]
 
     @property
+    def failed(self) -> list[str]:
+        """Names of the checks that failed."""
+        return [check.name for check in self.checks if check.status == "failed"]
+
+    @property
     def passed(self) -> bool:
         """Whether no check failed; warnings do not count."""
-        return all(check.status != "failed" for check in self.checks)
+        return not self.failed
 
     def sentences(self) -> list[str]:
         """A line for each check: its name, how it ended, what was found."""

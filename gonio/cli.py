@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
     from rich.table import Table
 
+    from gonio.certificate import Certificate
     from gonio.compare import Verdict
     from gonio.experiment import Experiment
     from gonio.measurement import Measurement
@@ -136,6 +137,7 @@ def run(
     quiet
         Print nothing but errors.
     """
+    from gonio.certificate import Certificate
     from gonio.experiment import InputError
 
     experiment = _experiment(config, overrides, seed)
@@ -152,12 +154,16 @@ def run(
     seconds = time.monotonic() - started
     models, complaints = _models(measurement, experiment.compare)
     files = _write_results(experiment, measurement, models, folder)
+    certificate = Certificate.from_json(measurement.attributes["certificate"])
     _complain(0, *complaints)
     if not quiet:
         _report(measurement, models, meter, seconds)
+        for sentence in certificate.summary():
+            _say(sentence)
         _say(f"Files in {folder}{os.sep}: {', '.join(files)}")
     if measurement.interrupted:
         raise RunError(f"Interrupted: {folder / 'measurement.nc'} holds what had been measured.")
+    _insist(certificate, folder / "measurement.nc")
 
 
 def _check_writable(folder: Path) -> None:
@@ -303,9 +309,8 @@ def _say(text: str, style: str | None = None) -> None:
 
 
 def _report(measurement: Measurement, models: Sequence[Model], meter: _Meter, seconds: float) -> None:
-    """What was measured, in two tables, how far it may be trusted, and how well the models do."""
+    """What was measured, in two tables, and how well the models do."""
     from gonio import tables
-    from gonio.certificate import Certificate
 
     _show("Albedo, the share of the light that comes back, ± standard error", tables.albedo(measurement))
     _show("Orders of scattering in the reflected light, and what did not come back", tables.energy(measurement))
@@ -314,8 +319,6 @@ def _report(measurement: Measurement, models: Sequence[Model], meter: _Meter, se
     if not models and int(measurement.dataset["realisations"].max()) == 1:
         _say("One specimen was measured: the errors are its Monte Carlo noise, other specimens may differ by more.")
     _judge(measurement, models)
-    for sentence in Certificate.from_json(measurement.attributes["certificate"]).summary():
-        _say(sentence)
 
 
 def _show(title: str, table: Table | None) -> None:
@@ -607,9 +610,13 @@ def check(file: Path, /) -> None:
         raise InputError(str(error)) from None
     _show(f"Certificate of {file}", tables.checks(certificate))
     _say(certificate.summary()[0])
+    _insist(certificate, file)
+
+
+def _insist(certificate: Certificate, file: Path) -> None:
+    """Raise `RunError` if a check of this file has failed."""
     if not certificate.passed:
-        failed = [one.name for one in certificate.checks if one.status == "failed"]
-        raise RunError(f"{file} fails: {', '.join(failed)}. Do not use its numbers.")
+        raise RunError(f"{file} fails: {', '.join(certificate.failed)}. Do not use its numbers.")
 
 
 @app.command

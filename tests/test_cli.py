@@ -18,6 +18,7 @@ import xarray as xr
 import gonio
 import microsurfaces as ms
 from gonio import validate
+from gonio.certificate import Certificate, Check
 from gonio.cli import main
 from gonio.experiment import Experiment
 from gonio.goniometer import Goniometer
@@ -251,6 +252,16 @@ def test_a_run_tells_its_certificate(run: Gonio, undrawn: None) -> None:
     assert code == 0
     assert "Certificate: 15 checks" in out
     assert "realisations, warning: 2 specimens measured, limit 4" in out
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_run_that_fails_its_certificate_says_so(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    bad = Certificate((Check("lost light", "failed", "half of it was lost.", {"share": 0.5}),))
+    monkeypatch.setattr("gonio.experiment.certify", lambda _: bad)
+    code, _, err = run("run", "toy.toml", "--quiet")
+    assert code == 1
+    assert err == f"{Path('out/toy/measurement.nc')} fails: lost light. Do not use its numbers.\n"
+    assert Path("out/toy/measurement.nc").exists()
 
 
 def test_validate_prints_and_writes_a_table(run: Gonio) -> None:
