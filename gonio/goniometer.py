@@ -22,9 +22,10 @@ from pydantic import Field, TypeAdapter, model_validator
 
 from gonio.detectors import Detector, HemisphereGrid
 from gonio.measurement import FATES, Measurement, orders
+from gonio.paths import ABSORBED, LOST, TRUNCATED, Catch, Lamp, Matter, matter
 from gonio.scene import Scene
 from gonio.tally import MAX_PATHS, UNIT, Tally, Wide
-from gonio.transport import ABSORBED, LOST, TRUNCATED, Catch, Lamp, Matter, matter, trace
+from gonio.transport import trace
 from microsurfaces.recipe import NonNegative, Positive, recipe
 
 Progress = Callable[[int, int, int], None]

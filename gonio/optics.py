@@ -103,6 +103,26 @@ def fresnel(cosine, eta, k):  # type: ignore[no-untyped-def]
     return (modulus + cos2 - twice) * p / ((modulus + cos2 + twice) * (p + twice * sin2))
 
 
+def fresnel_table(eta: Array, k: Array) -> Array:
+    """Unpolarised reflectances of indices `eta` + i `k`, (W,) each, over the cosine: (intervals, 6, W).
+
+    In each of equal intervals of the cosine from 0 to 1 it is a polynomial of degree 5 in the place within the
+    interval, 0 to 1, lowest coefficient first, and exact to 2⁻³⁴. There are no intervals where that needs too many of
+    them, as next to an angle of total reflection: then use `fresnel`.
+    """
+    nodes = (1.0 + np.cos(np.pi * (np.arange(6) + 0.5) / 6)) / 2
+    probes = np.linspace(0.0, 1.0, 11)
+    for intervals in (64, 256, 1024):
+        starts = np.arange(intervals)[:, None]
+        values, exact = (
+            np.mean(fresnel_conductor((starts + x)[..., None] / intervals, eta, k), axis=0) for x in (nodes, probes)
+        )
+        table: Array = np.linalg.solve(np.vander(nodes, increasing=True), values)
+        if np.abs(np.vander(probes, 6, increasing=True) @ table - exact).max() < 2.0**-34:
+            return table
+    return np.zeros((0, 6, len(eta)))
+
+
 def _refracted(c: Array, eta: Array) -> Array:
     """eta times the cosine of the angle of refraction, 0 where the reflection is total; exact for eta close to 1."""
     return np.sqrt(np.maximum((eta - 1.0) * (eta + 1.0) + c * c, 0.0))

@@ -1,4 +1,4 @@
-"""The light paths: launch, scatter, cross the seams, escape, bin. Numba kernels around Embree's closest hits.
+"""The light paths over any mesh: launch, scatter, cross the seams, escape. Numba kernels around Embree's closest hits.
 
 Every worker keeps a wave of paths in flight. All paths of a wave ask Embree for their next hit at once, one kernel
 moves them on, and places that became free are filled with new paths, so that the few long paths never hold up the rest.
@@ -13,80 +13,44 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import uint64
 from numpy.typing import NDArray
 
-from gonio.detectors import Apertures, Detector, HemisphereGrid
-from gonio.optics import Lambertian, Material, Mirror, fresnel
-from gonio.randomness import WORD, kernel, philox, uniform
+from gonio import grid_transport
+from gonio.detectors import Detector
+from gonio.paths import (
+    ABSORBED,
+    ESCAPED,
+    IN_FLIGHT,
+    LAMBERTIAN,
+    LOST,
+    MAX_CROSSINGS,
+    TRUNCATED,
+    Catch,
+    Lamp,
+    Matter,
+    balance,
+    bins_of,
+    collect,
+    cosine_direction,
+    incident,
+    integer,
+    mirrored,
+    replicate_turn,
+    sight,
+    start,
+    unit,
+    weigh,
+)
+from gonio.randomness import kernel, philox
 from gonio.scene import Scene
 from gonio.tally import UNIT
 
 WAVE = 32_768
 """Paths in flight in one worker: large enough to hide the interpreter, small enough for the second-level cache."""
 
-MAX_HITS = 10_000
-"""Light trapped in a cusp between lossless cylinders needs more than 1,000."""
-
-MAX_CROSSINGS = 10_000
-"""Tiles that a path may cross between two hits."""
-
-NEGLIGIBLE = 1e-9
-"""A path whose largest weight is below this stops; what it carried is in the ledger as truncated."""
-
 CLIPPED = 1e-3
 """A ray that meets a facet from behind, this close to its edge in barycentric coordinates, has only clipped a ridge by
 a rounding error: it goes on. Anywhere else it has come from under the surface and is lost."""
-
-RING_STEPS = 4096
-"""Steps of sin² that the ring of a direction is looked up by."""
-
-ABSORBED, TRUNCATED, LOST = 0, 1, 2
-"""Rows of the ledger: where light goes that does not escape."""
-
-_MIRROR, _FRESNEL, _LAMBERTIAN = 0, 1, 2
-_IN_FLIGHT, _ESCAPED = -2, -1
-_GOLDEN = (math.sqrt(5) - 1) / 2
-
-
-class Lamp(NamedTuple):
-    """The light of one incidence as the kernels need it."""
-
-    theta: float
-    phi: float
-    """Nominal direction to the lamp, radians."""
-    beam: float
-    """sin² of the half angle of the source cone; 0 for a collimated beam."""
-    average: bool
-    """Whether every path turns the surface by its own angle."""
-    key: tuple[int, int]
-    """Two 32-bit words that set this incidence's random numbers apart."""
-
-
-class Matter(NamedTuple):
-    """The material as the kernels need it, one entry a wavelength."""
-
-    kind: int
-    eta: NDArray[np.float64]
-    k: NDArray[np.float64]
-    reflectance: NDArray[np.float64]
-
-
-class Bins(NamedTuple):
-    """The detector as the kernels need it."""
-
-    size: int
-    """How many bins."""
-    sin2_edges: NDArray[np.float64]
-    """sin² of the upper ring edges of a grid, inf for the last; empty for apertures."""
-    rings: NDArray[np.int64]
-    """The ring in which each of many equal steps of sin² begins."""
-    sectors: int
-    turn: float
-    """Azimuth of the traced frame that the bins count from, in turns: the lamp's for a grid, 0 for apertures."""
-    axes: NDArray[np.float64]
-    cosine: float
-    """Of the apertures' half angle."""
 
 
 class Wave(NamedTuple):
@@ -104,59 +68,17 @@ class Wave(NamedTuple):
     crossings: NDArray[np.int32]
     fates: NDArray[np.int8]
     """What the last event did to a path: still in flight, escaped, truncated or lost."""
+    struck: NDArray[np.int64]
+    """Scratch: the rows of the paths that have just been reflected, and then their cosines of incidence."""
+    cosines: NDArray[np.float64]
     arrivals: NDArray[np.int64]
     """Scratch: the row of every path that has just escaped, and the record of `Catch.bins` that it adds to."""
-
-
-class Catch(NamedTuple):
-    """What every replicate of a group collected, in integers (`tally.UNIT` to a path)."""
-
-    bins: NDArray[np.int64]
-    """(orders, bins, replicates, wavelengths + 1): weights, and in the last column how many paths arrived; the last
-    bin is the whole hemisphere. What is added together lies together, and so do the replicates, because what they send
-    off from one place arrives in one bin."""
-    ledger: NDArray[np.int64]
-    """Absorbed, truncated, lost, (replicates, 3, wavelengths)."""
-
-    @classmethod
-    def empty(cls, replicates: int, orders: int, bins: int, wavelengths: int) -> Catch:
-        """Nothing yet."""
-        return cls(
-            np.zeros((orders, bins, replicates, wavelengths + 1), np.int64),
-            np.zeros((replicates, 3, wavelengths), np.int64),
-        )
-
-
-def matter(material: Material, wavelengths: NDArray[np.float64]) -> Matter:
-    """`material` at `wavelengths` (W,) nm for the kernels."""
-    ones = np.ones(len(wavelengths))
-    if isinstance(material, Mirror):
-        return Matter(_MIRROR, ones, ones, ones)
-    if isinstance(material, Lambertian):
-        return Matter(_LAMBERTIAN, ones, ones, ones * material.reflectance)
-    index = material.refractive_index(wavelengths)
-    return Matter(_FRESNEL, np.ascontiguousarray(index.real), np.ascontiguousarray(index.imag), ones)
-
-
-def bins_of(detector: Detector, phi_i: float) -> Bins:
-    """`detector` for the kernels, for light from azimuth `phi_i` in degrees."""
-    match detector:
-        case HemisphereGrid():
-            upper = np.sin(np.radians(detector.theta_edges[1:])) ** 2
-            upper[-1] = np.inf
-            rings = np.searchsorted(upper, np.arange(RING_STEPS + 1) / RING_STEPS, side="right")
-            return Bins(detector.bins, upper, rings, detector.shape[1], phi_i / 360, np.zeros((0, 3)), 1.0)
-        case Apertures():
-            cosine = math.cos(math.radians(detector.half_angle))
-            return Bins(
-                detector.bins, np.zeros(0), np.zeros(0, np.int64), 1, 0.0, np.ascontiguousarray(detector.axes), cosine
-            )
 
 
 def trace(
     scene: Scene,
     lamp: Lamp,
-    substance: Matter,
+    matter: Matter,
     detector: Detector,
     phi_i: float,
     replicates: range,
@@ -171,13 +93,26 @@ def trace(
     `advanced(paths, rays)` is told after every wave what was newly done; when it returns False the group is given up,
     and so is the answer.
     """
+    if scene.grid is not None:
+        return grid_transport.trace(
+            scene.grid,
+            lamp,
+            matter,
+            detector,
+            phi_i,
+            replicates,
+            paths,
+            catch,
+            advanced,
+            min(wave, grid_transport.LANES),
+        )
     total = len(replicates) * paths
     bins = bins_of(detector, phi_i)
-    collect = _collect if isinstance(detector, HemisphereGrid) else _sight
-    state = _empty_wave(min(wave, total), len(substance.eta))
+    on_grid = bool(bins.sector_edges.size)
+    state = _empty_wave(min(wave, total), len(matter.eta))
     catch.bins.fill(0)
     catch.ledger.fill(0)
-    turns = np.array([_replicate_turn(replicate, lamp.key) for replicate in replicates])
+    turns = np.array([replicate_turn(replicate, lamp.key) for replicate in replicates])
     active = launched = 0
     while active or launched < total:
         room = min(len(state.paths) - active, total - launched)
@@ -186,16 +121,23 @@ def trace(
             active, launched = active + room, launched + room
         found = scene.intersect(state.origins[:active], state.directions[:active], state.reach[:active])
         hits = (found["primID"], found["tfar"], found["u"], found["v"])
-        _move(state, active, hits, (scene.normals, scene.corner_normals), scene.tile, substance, lamp, replicates.start)
-        collect(state, active, bins, lamp, turns, catch.bins)
+        struck = _move(
+            state, active, hits, (scene.normals, scene.corner_normals), scene.tile, matter, lamp, replicates.start
+        )
+        weigh(state.struck, struck, state.cosines, matter, state.weights, state.hits, state.fates)
+        ended = (active, tuple(state.directions.T), state.fates, state.weights, state.paths, state.members, state.hits)
+        if on_grid:
+            collect(*ended, bins, lamp, turns, catch.bins, state.arrivals)
+        else:
+            sight(*ended, bins, lamp, turns, catch.bins)
         left = _settle(state, active, scene.tile, catch.ledger)
         if not advanced(active - left, active):
             return False
         active = left
-    if isinstance(detector, HemisphereGrid):
+    if on_grid:
         # Escaped is the sum of the bins themselves, not a second counter.
         catch.bins[:, -1] = catch.bins[:, :-1].sum(axis=1)
-    _balance(catch, paths)
+    balance(catch, paths)
     return True
 
 
@@ -210,60 +152,10 @@ def _empty_wave(size: int, wavelengths: int) -> Wave:
         np.zeros(size, np.int32),
         np.zeros(size, np.int32),
         np.zeros(size, np.int8),
-        np.zeros((size, 2), np.int64),
+        np.zeros(size, np.int64),
+        np.zeros(size),
+        np.zeros((size + 1, 2), np.int64),
     )
-
-
-def _balance(catch: Catch, paths: int) -> None:
-    """launched = escaped + absorbed + truncated + lost, exactly, or the instrument is broken."""
-    spent = catch.bins[:, -1, :, :-1].sum(axis=0) + catch.ledger.sum(axis=1)
-    if (spent != paths * UNIT).any():
-        raise ArithmeticError(f"the energy ledger does not close: {spent / UNIT} of {paths} paths accounted for")
-
-
-@kernel
-def _every_second_bit(x):  # type: ignore[no-untyped-def]
-    """The even bits of a 64-bit word, closed up."""
-    x &= uint64(0x5555555555555555)
-    x = (x | (x >> uint64(1))) & uint64(0x3333333333333333)
-    x = (x | (x >> uint64(2))) & uint64(0x0F0F0F0F0F0F0F0F)
-    x = (x | (x >> uint64(4))) & uint64(0x00FF00FF00FF00FF)
-    x = (x | (x >> uint64(8))) & uint64(0x0000FFFF0000FFFF)
-    return (x | (x >> uint64(16))) & WORD
-
-
-@kernel
-def _replicate_turn(replicate, key):  # type: ignore[no-untyped-def]
-    """Where a replicate's sequence of surface angles starts, in turns."""
-    return uniform(philox(0, 0, replicate, 0xFFFFFFFF, key[0], key[1])[0])
-
-
-@kernel
-def _surface_turn(path, turn, average):  # type: ignore[no-untyped-def]
-    """How far the lamp is turned about the sample for this path, in turns: 0, or stratified and uniform."""
-    fraction = path * _GOLDEN + turn
-    return average * (fraction - math.floor(fraction))
-
-
-@kernel
-def _incident(path, replicate, turn, lamp):  # type: ignore[no-untyped-def]
-    """The direction in which a path's light travels: cos-weighted over the source cone, and turned about the sample."""
-    sine, cosine, phi = math.sin(lamp.theta), math.cos(lamp.theta), lamp.phi
-    if lamp.beam > 0:
-        r0, r1, r2, _ = philox(path, path >> 32, replicate, 0xFFFFFFFE, lamp.key[0], lamp.key[1])
-        sin_delta = math.sqrt(lamp.beam * uniform(r0))
-        cos_delta = math.sqrt(1 - sin_delta * sin_delta)
-        # Around the cone the density is 1 + a cosψ: a uniform ψ is turned over with the right probability.
-        psi = 2 * math.pi * uniform(r1)
-        a = -sin_delta / cos_delta * sine / cosine
-        if 2 * uniform(r2) > 1 + a * math.cos(psi):
-            psi += math.pi
-        down, across = sin_delta * math.cos(psi), sin_delta * math.sin(psi)
-        x = cos_delta * sine + down * cosine
-        cosine = cos_delta * cosine - down * sine
-        sine, phi = math.hypot(x, across), phi + math.atan2(across, x)
-    phi += 2 * math.pi * _surface_turn(path, turn, lamp.average)
-    return -sine * math.cos(phi), -sine * math.sin(phi), -cosine
 
 
 @kernel
@@ -276,17 +168,16 @@ def _launch(wave, active, first, count, paths, first_replicate, turns, lamp, til
     origins, directions, weights = wave.origins, wave.directions, wave.weights
     path, member = divmod(first, turns.size)
     steady = lamp.beam == 0 and not lamp.average
-    dx, dy, dz = _incident(path, 0, 0.0, lamp)
+    dx, dy, dz = incident(path, 0, 0.0, lamp)
     for i in range(active, active + count):
         replicate = first_replicate + member
         # The four words of a block serve four replicates.
         if i == active or member == 0 or replicate % 4 == 0:
             words = philox(path, path >> 32, replicate // 4, 0, lamp.key[0], lamp.key[1])
-        place = uint64((path + uniform(words[replicate % 4])) / paths * 2.0**52)
-        x = ((_every_second_bit(place) + 0.5) * 2.0**-25 - 1) * tile.half_x
-        y = ((_every_second_bit(place >> uint64(1)) + 0.5) * 2.0**-25 - 1) * tile.half_y
+        along_x, along_y = start(path, paths, words[replicate % 4])
+        x, y = (2 * along_x - 1) * tile.half_x, (2 * along_y - 1) * tile.half_y
         if not steady:
-            dx, dy, dz = _incident(path, replicate, turns[member], lamp)
+            dx, dy, dz = incident(path, replicate, turns[member], lamp)
         origins[i, 0], origins[i, 1], origins[i, 2] = x, y, tile.top
         directions[i, 0], directions[i, 1], directions[i, 2] = dx, dy, dz
         wave.reach[i] = _to_edge(x, y, dx, dy, tile.outer_x, tile.outer_y)
@@ -313,41 +204,13 @@ def _to_edge(x, y, dx, dy, half_x, half_y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _unit(x, y, z):  # type: ignore[no-untyped-def]
-    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-    return x * scale, y * scale, z * scale
-
-
-@kernel
-def _mirrored(dx, dy, dz, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """The direction of travel after a mirror reflection."""
-    twice = 2 * (dx * nx + dy * ny + dz * nz)
-    return dx - twice * nx, dy - twice * ny, dz - twice * nz
-
-
-@kernel
 def _serves(sx, sy, sz, dx, dy, dz, nx, ny, nz):  # type: ignore[no-untyped-def]
     """Whether light can be reflected about the exact normal (sx, sy, sz) of a chord with the normal (nx, ny, nz).
 
     Close to a silhouette it may face away from the ray, or send it through the chord.
     """
-    ex, ey, ez = _mirrored(dx, dy, dz, sx, sy, sz)
+    ex, ey, ez = mirrored(dx, dy, dz, sx, sy, sz)
     return dx * sx + dy * sy + dz * sz < 0 and ex * nx + ey * ny + ez * nz > 0
-
-
-@kernel
-def _cosine_direction(r0, r1, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """A direction about the normal with density cosθ/π."""
-    radius, angle = math.sqrt(uniform(r0)), 2 * math.pi * uniform(r1)
-    a, b = radius * math.cos(angle), radius * math.sin(angle)
-    c = math.sqrt(max(0.0, 1 - radius * radius))
-    # Frame of Duff et al. 2017 (JCGT 6(1)): no branch but the sign.
-    sign = math.copysign(1.0, nz)
-    f = -1.0 / (sign + nz)
-    g = nx * ny * f
-    x = a * (1 + sign * nx * nx * f) + b * g + c * nx
-    y = a * sign * g + b * (sign + ny * ny * f) + c * ny
-    return x, y, -a * sign * nx - b * ny + c * nz
 
 
 @kernel
@@ -367,7 +230,7 @@ def _pass_on(x, y, z, dx, dy, dz, reach, tile):  # type: ignore[no-untyped-def]
     Returns its fate and where it goes on.
     """
     if dz > 0 and z + reach * dz >= tile.top:
-        return _ESCAPED, x, y, z
+        return ESCAPED, x, y, z
     side = max(0.0, _to_edge(x, y, dx, dy, tile.half_x, tile.half_y))
     x, y, z = x + side * dx, y + side * dy, z + side * dz
     # The coordinate that has reached its side goes opposite.
@@ -375,21 +238,16 @@ def _pass_on(x, y, z, dx, dy, dz, reach, tile):  # type: ignore[no-untyped-def]
         x, y = -math.copysign(tile.half_x, dx), min(tile.half_y, max(-tile.half_y, y))
     else:
         x, y = min(tile.half_x, max(-tile.half_x, x)), -math.copysign(tile.half_y, dy)
-    return (LOST if z < tile.bottom else _IN_FLIGHT), x, y, z
+    return (LOST if z < tile.bottom else IN_FLIGHT), x, y, z
 
 
 @kernel
-def _move(wave, active, found, facets, tile, substance, lamp, first_replicate):  # type: ignore[no-untyped-def]
-    """Move every path past its next event, and note its fate."""
+def _move(wave, active, found, facets, tile, matter, lamp, first_replicate):  # type: ignore[no-untyped-def]
+    """Move every path past its next event, and note its fate. Returns how many have been reflected."""
     primitives, distances, us, vs = found
     normals, corner_normals = facets
-    origins, directions, weights, hits, crossings = (
-        wave.origins,
-        wave.directions,
-        wave.weights,
-        wave.hits,
-        wave.crossings,
-    )
+    origins, directions, hits, crossings = wave.origins, wave.directions, wave.hits, wave.crossings
+    struck = 0
     for i in range(active):
         x, y, z = np.float64(origins[i, 0]), np.float64(origins[i, 1]), np.float64(origins[i, 2])
         dx, dy, dz = np.float64(directions[i, 0]), np.float64(directions[i, 1]), np.float64(directions[i, 2])
@@ -398,7 +256,7 @@ def _move(wave, active, found, facets, tile, substance, lamp, first_replicate): 
             fate, x, y, z = _pass_on(x, y, z, dx, dy, dz, np.float64(wave.reach[i]), tile)
             crossings[i] += 1
         else:
-            fate = _IN_FLIGHT
+            fate = IN_FLIGHT
             u, v = np.float64(us[i]), np.float64(vs[i])
             nx, ny = np.float64(normals[primitive, 0]), np.float64(normals[primitive, 1])
             nz = np.float64(normals[primitive, 2])
@@ -416,104 +274,31 @@ def _move(wave, active, found, facets, tile, substance, lamp, first_replicate): 
                 if corner_normals.shape[0]:
                     c = corner_normals[primitive]
                     t = 1.0 - u - v
-                    sx, sy, sz = _unit(
+                    sx, sy, sz = unit(
                         t * c[0, 0] + u * c[1, 0] + v * c[2, 0],
                         t * c[0, 1] + u * c[1, 1] + v * c[2, 1],
                         t * c[0, 2] + u * c[1, 2] + v * c[2, 2],
                     )
                     if _serves(sx, sy, sz, dx, dy, dz, nx, ny, nz):
                         nx, ny, nz = sx, sy, sz
-                cosine = min(1.0, -(dx * nx + dy * ny + dz * nz))
-                largest = 0.0
-                for w in range(weights.shape[1]):
-                    if substance.kind == _FRESNEL:
-                        weights[i, w] *= fresnel(cosine, substance.eta[w], substance.k[w])
-                    elif substance.kind == _LAMBERTIAN:
-                        weights[i, w] *= substance.reflectance[w]
-                    largest = max(largest, weights[i, w])
-                if substance.kind == _LAMBERTIAN:
+                wave.struck[struck], wave.cosines[struck] = i, min(1.0, -(dx * nx + dy * ny + dz * nz))
+                struck += 1
+                if matter.kind == LAMBERTIAN:
                     path, replicate = wave.paths[i], first_replicate + wave.members[i]
                     r0, r1, _, _ = philox(path, path >> 32, replicate, hits[i], lamp.key[0], lamp.key[1])
-                    dx, dy, dz = _cosine_direction(r0, r1, nx, ny, nz)
+                    dx, dy, dz = cosine_direction(r0, r1, nx, ny, nz)
                 else:
-                    dx, dy, dz = _mirrored(dx, dy, dz, nx, ny, nz)
+                    dx, dy, dz = mirrored(dx, dy, dz, nx, ny, nz)
                 # One Newton step: without it the length would drift over thousands of hits.
                 scale = 1.5 - 0.5 * (dx * dx + dy * dy + dz * dz)
                 directions[i, 0], directions[i, 1], directions[i, 2] = dx * scale, dy * scale, dz * scale
-                if largest < NEGLIGIBLE or hits[i] >= MAX_HITS:
-                    fate = TRUNCATED
         origins[i, 0], origins[i, 1], origins[i, 2] = x, y, z
-        if fate == _IN_FLIGHT:
+        if fate == IN_FLIGHT:
             horizontal = directions[i, 2] == 0 and z >= tile.top
             if horizontal or crossings[i] >= MAX_CROSSINGS:
                 fate = TRUNCATED
         wave.fates[i] = fate
-
-
-@kernel
-def _sector(x, y, offset, sectors):  # type: ignore[no-untyped-def]
-    """Which of the azimuth bins, the first centred on `offset` turns, a direction lies in; the pole is in the first."""
-    if x == 0 and y == 0:
-        return 0
-    turns = math.atan2(y, x) * (0.5 / math.pi) - offset + 0.5 / sectors
-    return min(int((turns - math.floor(turns)) * sectors), sectors - 1)
-
-
-@kernel
-def _collect(wave, active, bins, lamp, turns, caught):  # type: ignore[no-untyped-def]
-    """Add the paths that have escaped to their bins of a grid.
-
-    First the bins are found, then a short loop adds to them: they lie far apart in memory, and so the processor can
-    wait for many of them at once.
-    """
-    directions, fates, arrivals, edges = wave.directions, wave.fates, wave.arrivals, bins.sin2_edges
-    rings = bins.rings
-    weights, width = wave.weights, wave.weights.shape[1]
-    arrived = 0
-    for i in range(active):
-        if fates[i] != _ESCAPED:
-            continue
-        x, y, z = np.float64(directions[i, 0]), np.float64(directions[i, 1]), np.float64(directions[i, 2])
-        offset = bins.turn + _surface_turn(wave.paths[i], turns[wave.members[i]], lamp.average)
-        sin2 = (x * x + y * y) / (x * x + y * y + z * z)
-        ring = rings[int(sin2 * RING_STEPS)]
-        while sin2 >= edges[ring]:
-            ring += 1
-        place = ring * bins.sectors + _sector(x, y, offset, bins.sectors)
-        order, member = min(wave.hits[i], caught.shape[0]) - 1, wave.members[i]
-        arrivals[arrived, 0], arrivals[arrived, 1] = i, (order * caught.shape[1] + place) * turns.size + member
-        arrived += 1
-    records = caught.reshape(-1, width + 1)
-    for j in range(arrived):
-        row, record = np.uint64(arrivals[j, 0]), np.uint64(arrivals[j, 1])
-        for w in range(width):
-            records[record, w] += _integer(weights[row, w])
-        records[record, width] += 1
-
-
-@kernel
-def _integer(weight):  # type: ignore[no-untyped-def]
-    return np.int64(weight * UNIT + 0.5)
-
-
-@kernel
-def _sight(wave, active, bins, lamp, turns, caught):  # type: ignore[no-untyped-def]
-    """Add the paths that have escaped to every aperture that sees them, and to the whole hemisphere."""
-    directions, axes, weights, width = wave.directions, bins.axes, wave.weights, wave.weights.shape[1]
-    for i in range(active):
-        if wave.fates[i] != _ESCAPED:
-            continue
-        x, y, z = _unit(np.float64(directions[i, 0]), np.float64(directions[i, 1]), np.float64(directions[i, 2]))
-        order, member = min(wave.hits[i], caught.shape[0]) - 1, wave.members[i]
-        angle = 2 * math.pi * _surface_turn(wave.paths[i], turns[member], lamp.average)
-        c, s = math.cos(angle), math.sin(angle)
-        x, y = c * x + s * y, c * y - s * x
-        for place in range(bins.size + 1):
-            seen = place == bins.size or x * axes[place, 0] + y * axes[place, 1] + z * axes[place, 2] >= bins.cosine
-            if seen:
-                for w in range(width):
-                    caught[order, place, member, w] += _integer(weights[i, w])
-                caught[order, place, member, width] += 1
+    return struck
 
 
 @kernel
@@ -526,10 +311,10 @@ def _settle(wave, active, tile, ledger):  # type: ignore[no-untyped-def]
     left = 0
     for i in range(active):
         fate = wave.fates[i]
-        if fate != _IN_FLIGHT:
+        if fate != IN_FLIGHT:
             member = wave.members[i]
             for w in range(weights.shape[1]):
-                carried = _integer(weights[i, w])
+                carried = integer(weights[i, w])
                 ledger[member, ABSORBED, w] += UNIT - carried
                 if fate >= 0:
                     ledger[member, fate, w] += carried

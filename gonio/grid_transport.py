@@ -1,0 +1,663 @@
+"""The light paths over a height field, without a ray tracer: most of them meet no doubt at all, the rest walk.
+
+Everything is done for many paths at once, in short loops whose turns do not depend on each other: the processor then
+works on several paths at a time. First hits under parallel light are guessed by Newton's method on the facets and
+accepted where it is proven that nothing stands before them; a reflected path has escaped where that is proven (see
+`grid.Grid`). All others go from cell to cell, or from node to node of the quadtree where they pass above it, and find
+the very same hits: what is proven changes nothing but the time.
+
+A path in flight is above the surface where it crosses the sides of the cells' triangles; it hits the first facet that
+takes it below. There is no offset to restart from and no edge to slip through: the facet that a path leaves cannot be
+its next, and nothing is ever lost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.detectors import Detector
+from gonio.grid import BLOCK, Grid, sector
+from gonio.paths import (
+    ABSORBED,
+    ESCAPED,
+    IN_FLIGHT,
+    LAMBERTIAN,
+    MAX_CROSSINGS,
+    TRUNCATED,
+    Catch,
+    Lamp,
+    Matter,
+    balance,
+    bins_of,
+    collect,
+    cosine_direction,
+    incident,
+    integer,
+    mirrored,
+    replicate_turn,
+    sight,
+    start,
+    weigh,
+)
+from gonio.randomness import kernel, philox
+from gonio.tally import UNIT
+
+LANES = 464
+"""Paths that are worked on at a time: their state stays in the first-level cache, and not a power of two, whose arrays
+would compete for the same places in it."""
+
+ROUNDS = 128
+"""How often that is done between two looks at the progress."""
+
+BUNDLE, GUESSED_BUNDLE = 8, 32
+"""Paths that a bundle should have at least: fewer where its way begins a search than where it begins a guess."""
+
+NEWTON = 3
+"""Steps of Newton's method towards a first hit, after as many of a neighbour."""
+
+WORTH = 0.25
+"""Share of the blocks that must be certain to see the lamp for a guess to be worth its time."""
+
+_FAR = 1e300
+"""What is never reached."""
+
+_ROW, _COLUMN = 32, (1 << 31) - 1
+"""A facet as one number: its row above the 32nd bit, its column, and its side in the last bit."""
+
+
+class Flight(NamedTuple):
+    """The paths that are worked on."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    """Where a path was last reflected, or started; in cells of the tile that it is in."""
+    z: NDArray[np.float64]
+    """Its height there, µm above the middle."""
+    dx: NDArray[np.float64]
+    dy: NDArray[np.float64]
+    dz: NDArray[np.float64]
+    """Its direction."""
+    way: NDArray[np.float64]
+    """How far from there it is known to be free, µm."""
+    i: NDArray[np.int64]
+    j: NDArray[np.int64]
+    """The cell that it is in after that way."""
+    side: NDArray[np.int64]
+    """Which triangle of the cell it leaves, 0 below the diagonal, 1 above; -1 if none."""
+    cosines: NDArray[np.float64]
+    """Cosines of incidence of the paths in `struck`, in that order."""
+    normals: NDArray[np.float64]
+    """Normals of the facets where they have been struck, in that order."""
+    weights: NDArray[np.float64]
+    paths: NDArray[np.int64]
+    members: NDArray[np.int32]
+    hits: NDArray[np.int32]
+    fates: NDArray[np.int8]
+    active: NDArray[np.int64]
+    """Paths that look for their next hit."""
+    struck: NDArray[np.int64]
+    """Paths that have found it."""
+    arrivals: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, lanes: int, wavelengths: int) -> Flight:
+        """Room for `lanes` paths."""
+        x, y, z, dx, dy, dz, way, cosines = (np.zeros(lanes) for _ in range(8))
+        i, j, side, paths, active, struck = (np.zeros(lanes + 1, np.int64) for _ in range(6))
+        members, hits, fates = np.zeros(lanes, np.int32), np.zeros(lanes, np.int32), np.zeros(lanes, np.int8)
+        normals, weights = np.zeros((lanes, 3)), np.zeros((lanes, wavelengths))
+        arrivals = np.zeros((lanes + 1, 2), np.int64)
+        return cls(
+            x, y, z, dx, dy, dz, way, i, j, side, cosines, normals, weights, paths, members, hits, fates, active,
+            struck, arrivals,
+        )  # fmt: skip
+
+
+class Beam(NamedTuple):
+    """What is known beforehand of light whose rays are all parallel."""
+
+    steady: bool
+    """Whether they are; nothing else here counts if not."""
+    vertical: bool
+    dx: float
+    dy: float
+    dz: float
+    """The direction in which it travels, cells per µm along x and y."""
+    sector: int
+    code: int
+    """Blocks with at most this code in this sector see the lamp."""
+    guess: bool
+    """Whether so many do that first hits are guessed."""
+    level: int
+    """Level of the quadtree whose nodes are as wide as a bundle of rays."""
+
+
+def beam_of(lamp: Lamp, grid: Grid, paths: int) -> Beam:
+    """The beam of `lamp` if its rays are parallel; `paths` are launched side by side over the tile."""
+    steady = lamp.beam == 0 and not lamp.average
+    dx, dy, dz = incident(0, 0, 0.0, lamp)
+    dx, dy = dx / grid.spacing[0], dy / grid.spacing[1]
+    toward, code = grid.steepest(-dx, -dy, -dz)
+    guess = bool(np.mean(grid.codes[..., toward] <= code) > WORTH)
+    ny, nx = grid.shape
+    cells = (GUESSED_BUNDLE if guess else BUNDLE) * nx * ny / paths
+    level = max(1, math.ceil(math.log2(max(1.0, cells)) / 2))
+    return Beam(steady, dx == 0 and dy == 0, dx, dy, dz, toward, code, guess, min(level, len(grid.widths) - 1))
+
+
+def trace(
+    grid: Grid,
+    lamp: Lamp,
+    matter: Matter,
+    detector: Detector,
+    phi_i: float,
+    replicates: range,
+    paths: int,
+    catch: Catch,
+    advanced: Callable[[int, int], bool],
+    lanes: int = LANES,
+) -> bool:
+    """As `transport.trace`, over a height field."""
+    members = len(replicates)
+    bins, beam = bins_of(detector, phi_i), beam_of(lamp, grid, members * paths)
+    at_once = max(1, min(lanes // members, paths))
+    flight = Flight.of(at_once * members, len(matter.eta))
+    catch.bins.fill(0)
+    catch.ledger.fill(0)
+    turns = np.array([replicate_turn(replicate, lamp.key) for replicate in replicates])
+    for first in range(0, paths, ROUNDS * at_once):
+        last = min(paths, first + ROUNDS * at_once)
+        rays = _advance(
+            flight,
+            grid,
+            lamp,
+            beam,
+            matter,
+            bins,
+            turns,
+            replicates.start,
+            paths,
+            first,
+            last,
+            catch.bins,
+            catch.ledger,
+        )
+        if not advanced((last - first) * members, rays):
+            return False
+    if bins.sector_edges.size:
+        # Escaped is the sum of the bins themselves, not a second counter.
+        catch.bins[:, -1] = catch.bins[:, :-1].sum(axis=1)
+    balance(catch, paths)
+    return True
+
+
+@kernel
+def _advance(flight, grid, lamp, beam, matter, bins, turns, first_replicate, paths, first, last, caught, ledger):  # type: ignore[no-untyped-def]
+    """Follow the paths from `first` to `last` of all replicates to their ends. Returns how many rays they are."""
+    at_once = flight.x.size // turns.size
+    # The bundle that the last path belonged to, level by level: its node, and how far it is free.
+    nodes, ways = np.full(grid.widths.size, -1), np.zeros(grid.widths.size)
+    directions = (flight.dx, flight.dy, flight.dz)
+    rays = 0
+    while first < last:
+        some = min(at_once, last - first)
+        count = some * turns.size
+        _launch(flight, first, some, paths, first_replicate, turns, lamp, grid)
+        struck, searching = 0, count
+        if not beam.steady:
+            _anywhere(flight, count)
+        elif beam.vertical:
+            struck, searching = _drop(flight, count, grid), 0
+        else:
+            _approach(flight, count, beam, grid, nodes, ways)
+            _enter(flight, count, beam, grid)
+            if beam.guess:
+                struck, searching = _guess(flight, count, turns.size, beam, grid)
+        near = beam.steady
+        rays += count
+        while searching + struck:
+            struck = _walk(flight, searching, struck, grid, near)
+            rays += struck
+            _normals(flight, struck, grid)
+            if matter.kind == LAMBERTIAN:
+                _diffuse(flight, struck, first_replicate, lamp)
+            else:
+                _mirror(flight, struck)
+            spent = weigh(flight.struck, struck, flight.cosines, matter, flight.weights, flight.hits, flight.fates)
+            searching = _search(flight, struck, grid, spent)
+            struck, near = 0, True
+        if bins.sector_edges.size:
+            collect(
+                count, directions, flight.fates, flight.weights, flight.paths, flight.members, flight.hits, bins, lamp,
+                turns, caught, flight.arrivals,
+            )  # fmt: skip
+        else:
+            sight(
+                count, directions, flight.fates, flight.weights, flight.paths, flight.members, flight.hits, bins, lamp,
+                turns, caught,
+            )  # fmt: skip
+        _enter_in_ledger(flight, count, ledger)
+        first += some
+    return rays
+
+
+@kernel
+def _launch(flight, first, some, paths, first_replicate, turns, lamp, grid):  # type: ignore[no-untyped-def]
+    """Start `some` paths from `first` on in all replicates, on the plane that touches the highest point."""
+    ny, nx = grid.heights.shape[0] - 1, grid.heights.shape[1] - 1
+    x, y, dx, dy, dz = flight.x, flight.y, flight.dx, flight.dy, flight.dz
+    numbers, members = flight.paths, flight.members
+    steady = lamp.beam == 0 and not lamp.average
+    u, v, w = incident(first, 0, 0.0, lamp)
+    n = 0
+    for path in range(first, first + some):
+        for member in range(turns.size):
+            replicate = first_replicate + member
+            # The four words of a block serve four replicates.
+            if member == 0 or replicate % 4 == 0:
+                words = philox(path, path >> 32, replicate // 4, 0, lamp.key[0], lamp.key[1])
+            along_x, along_y = start(path, paths, words[replicate % 4])
+            x[n], y[n] = along_x * nx, along_y * ny
+            if not steady:
+                u, v, w = incident(path, replicate, turns[member], lamp)
+            dx[n], dy[n], dz[n] = u, v, w
+            numbers[n], members[n] = path, member
+            n += 1
+    flight.z[:n] = grid.top
+    flight.side[:n] = -1
+    flight.hits[:n] = 0
+    flight.fates[:n] = IN_FLIGHT
+    flight.weights[:n] = 1.0
+
+
+@kernel
+def _anywhere(flight, count):  # type: ignore[no-untyped-def]
+    """Light from all directions: nothing is known of its way."""
+    x, y, way, columns, rows, active = flight.x, flight.y, flight.way, flight.i, flight.j, flight.active
+    for n in range(count):
+        columns[n], rows[n], way[n], active[n] = np.int64(x[n]), np.int64(y[n]), 0.0, n
+
+
+@kernel
+def _side_at(x, y, odd):  # type: ignore[no-untyped-def]
+    """Which triangle of a cell lies under (x, y), both in 0 to 1: above its diagonal or below.
+
+    The diagonal runs from (1, 0) to (0, 1), in odd cells from (0, 0) to (1, 1).
+    """
+    return np.int64((y - x if odd else y + x - 1.0) > 0)
+
+
+@kernel
+def _facet(side, odd, h00, h10, h01, h11):  # type: ignore[no-untyped-def]
+    """A triangle of a cell from the heights of its corners, the first index for x.
+
+    Returns its slopes along x and y, µm per cell, and its height at (0, 0), or at (1, 1) for the upper one.
+    """
+    p = h11 - h01 if side else h10 - h00
+    q = h11 - h10 if side != odd else h01 - h00
+    return p, q, h11 if side else h00
+
+
+@kernel
+def _drop(flight, count, grid):  # type: ignore[no-untyped-def]
+    """Vertical light hits what lies under it."""
+    heights, x, y, z = grid.heights, flight.x, flight.y, flight.z
+    columns, rows, sides, struck = flight.i, flight.j, flight.side, flight.struck
+    for n in range(count):
+        i, j = np.int64(x[n]), np.int64(y[n])
+        u, v = x[n] - i, y[n] - j
+        odd = (i + j) & 1
+        side = _side_at(u, v, odd)
+        row, column, above, beside = np.uint64(j), np.uint64(i), np.uint64(j + 1), np.uint64(i + 1)
+        h00, h10 = heights[row, column], heights[row, beside]
+        h01, h11 = heights[above, column], heights[above, beside]
+        p, q, corner = _facet(side, odd, h00, h10, h01, h11)
+        z[n] = corner + p * (u - side) + q * (v - side)
+        columns[n], rows[n], sides[n], struck[n] = i, j, side, n
+    return count
+
+
+@kernel
+def _approach(flight, count, beam, grid, nodes, ways):  # type: ignore[no-untyped-def]
+    """How far the bundle is free that each path belongs to."""
+    ny, nx = grid.heights.shape[0] - 1, grid.heights.shape[1] - 1
+    tops, offsets, widths = grid.dilated, grid.offsets, grid.widths
+    x, y, way = flight.x, flight.y, flight.way
+    finest, coarsest = beam.level, min(beam.level + 2, widths.size - 1)
+    for n in range(count):
+        i, j = np.int64(x[n]), np.int64(y[n])
+        if (j >> finest) * widths[finest] + (i >> finest) != nodes[finest]:
+            free = 0.0
+            for level in range(coarsest, finest - 1, -1):
+                node = (j >> level) * widths[level] + (i >> level)
+                if node != nodes[level]:
+                    half = np.int64(1) << (level - 1)
+                    ways[level] = _free_way(
+                        float(((i >> level) << level) + half), float(((j >> level) << level) + half), grid.top,
+                        beam.dx, beam.dy, beam.dz, free, level, nx, ny,
+                        tops[offsets[level] - offsets[1] : offsets[level + 1] - offsets[1]], widths[level],
+                    )  # fmt: skip
+                    nodes[level] = node
+                free = ways[level]
+        way[n] = ways[finest]
+
+
+@kernel
+def _free_way(x, y, z, dx, dy, dz, way, level, nx, ny, tops, width):  # type: ignore[no-untyped-def]
+    """How far a ray, free up to `way`, goes on before it is no higher than the node of a level that it is in."""
+    shift_x, shift_y = math.floor((x + dx * way) / nx) * nx, math.floor((y + dy * way) / ny) * ny
+    x, y = x - shift_x, y - shift_y
+    i, j = min(np.int64(x + dx * way), nx - 1), min(np.int64(y + dy * way), ny - 1)
+    inverse_x, inverse_y = 1.0 / dx if dx != 0 else _FAR, 1.0 / dy if dy != 0 else _FAR
+    right, up = np.int64(inverse_x > 0), np.int64(inverse_y > 0)
+    while True:
+        node_i, node_j = i >> level, j >> level
+        edge_x, edge_y = min((node_i + right) << level, nx), min((node_j + up) << level, ny)
+        to_x, to_y = (edge_x - x) * inverse_x, (edge_y - y) * inverse_y
+        end = min(to_x, to_y)
+        top = tops[node_j * width + node_i]
+        if z + dz * end <= top:
+            return max(way, min(end, (top - z) / dz))
+        way = end
+        if to_x < to_y:
+            i = edge_x - 1 + right
+            j = min(max(np.int64(y + dy * way), node_j << level), min((node_j + 1) << level, ny) - 1)
+        else:
+            j = edge_y - 1 + up
+            i = min(max(np.int64(x + dx * way), node_i << level), min((node_i + 1) << level, nx) - 1)
+        over_x, over_y = _beyond(i, nx), _beyond(j, ny)
+        i, x = i - over_x * nx, x - over_x * nx
+        j, y = j - over_y * ny, y - over_y * ny
+
+
+@kernel
+def _beyond(i, n):  # type: ignore[no-untyped-def]
+    """1 or -1 for a cell that lies beyond the tile's far or near side, else 0."""
+    return np.int64(i >= n) - np.int64(i < 0)
+
+
+@kernel
+def _enter(flight, count, beam, grid):  # type: ignore[no-untyped-def]
+    """Bring every path into the tile and the cell where it ceases to be free."""
+    ny, nx = grid.heights.shape[0] - 1, grid.heights.shape[1] - 1
+    x, y, way, columns, rows, active = flight.x, flight.y, flight.way, flight.i, flight.j, flight.active
+    for n in range(count):
+        u, v = x[n] + beam.dx * way[n], y[n] + beam.dy * way[n]
+        shift_x, shift_y = math.floor(u / nx) * nx, math.floor(v / ny) * ny
+        x[n], y[n] = x[n] - shift_x, y[n] - shift_y
+        columns[n], rows[n] = min(np.int64(u - shift_x), nx - 1), min(np.int64(v - shift_y), ny - 1)
+        active[n] = n
+
+
+@kernel
+def _guess(flight, count, members, beam, grid):  # type: ignore[no-untyped-def]
+    """Find first hits by Newton's method. Returns how many are proven, and how many have to be searched for.
+
+    The `members` of one path start in one cell of the stratification: what the first has found the others begin with.
+
+    What the lamp is certain to see is the first that its light meets.
+    """
+    x, y, z, way, side, columns, rows = flight.x, flight.y, flight.z, flight.way, flight.side, flight.i, flight.j
+    active, struck, codes = flight.active, flight.struck, grid.codes
+    # Scratch: the way to the next guess, and on which facets the last two lay.
+    ways, facets = flight.cosines, flight.arrivals
+    for n in range(count):
+        ways[n] = way[n]
+        facets[n, 0] = -1
+    for _ in range(NEWTON):
+        _improve(x, y, ways, facets, count, members, beam.dx, beam.dy, beam.dz, grid.top, grid.heights)
+    for n in range(count):
+        ways[n] = ways[n - n % members]
+    for _ in range(NEWTON):
+        _improve(x, y, ways, facets, count, 1, beam.dx, beam.dy, beam.dz, grid.top, grid.heights)
+    proven = searched = 0
+    for n in range(count):
+        facet = max(facets[n, 0], 0)
+        s, i, j = facet & 1, facet >> 1 & _COLUMN, facet >> _ROW
+        seen = codes[np.uint64(j >> BLOCK), np.uint64(i >> BLOCK), np.uint64(beam.sector)] <= beam.code
+        ok = (facets[n, 0] >= 0) & (facet == facets[n, 1]) & seen & (ways[n] >= 0)
+        active[searched] = n
+        searched += not ok
+        struck[proven] = n
+        proven += ok
+        if ok:
+            columns[n], rows[n], side[n] = i, j, s
+            x[n], y[n], z[n] = x[n] + beam.dx * ways[n], y[n] + beam.dy * ways[n], grid.top + beam.dz * ways[n]
+    return proven, searched
+
+
+@kernel
+def _improve(x, y, ways, facets, count, step, dx, dy, dz, top, heights):  # type: ignore[no-untyped-def]
+    """One step of Newton's method for every `step`-th path: meet the plane of the facet that lies under the guess."""
+    ny, nx = heights.shape[0] - 1, heights.shape[1] - 1
+    for n in range(0, count, step):
+        u, v = x[n] + dx * ways[n], y[n] + dy * ways[n]
+        i, j = min(max(np.int64(u), 0), nx - 1), min(max(np.int64(v), 0), ny - 1)
+        odd = (i + j) & 1
+        s = _side_at(u - i, v - j, odd)
+        row, column, above, beside = np.uint64(j), np.uint64(i), np.uint64(j + 1), np.uint64(i + 1)
+        h00, h10 = heights[row, column], heights[row, beside]
+        h01, h11 = heights[above, column], heights[above, beside]
+        p, q, corner = _facet(s, odd, h00, h10, h01, h11)
+        base = corner + p * (x[n] - i - s) + q * (y[n] - j - s)
+        ways[n] = (base - top) / (dz - p * dx - q * dy)
+        facets[n, 1] = facets[n, 0]
+        inside = (u >= 0) & (u < nx) & (v >= 0) & (v < ny)
+        facets[n, 0] = j << _ROW | i << 1 | s if inside else -1
+
+
+@kernel
+def _walk(flight, count, struck, grid, near):  # type: ignore[no-untyped-def]
+    """Find the next hit of every active path; returns how many are now in `struck`. The others have ended.
+
+    `near` says that they start close to the surface, and so from cell to cell.
+    """
+    heights, tops, offsets, widths, top = grid.heights, grid.tops, grid.offsets, grid.widths, grid.top
+    ny, nx = heights.shape[0] - 1, heights.shape[1] - 1
+    xs, ys, zs, ways, columns, rows, sides = (
+        flight.x, flight.y, flight.z, flight.way, flight.i, flight.j, flight.side,
+    )  # fmt: skip
+    along_x, along_y, along_z, active, found, fates = (
+        flight.dx, flight.dy, flight.dz, flight.active, flight.struck, flight.fates,
+    )  # fmt: skip
+    coarsest = widths.size - 1
+    per_x, per_y = 1.0 / grid.spacing[0], 1.0 / grid.spacing[1]
+    for k in range(count):
+        n = np.uint64(active[k])
+        x, y, z, way = xs[n], ys[n], zs[n], ways[n]
+        dx, dy, dz = along_x[n] * per_x, along_y[n] * per_y, along_z[n]
+        i, j, own = columns[n], rows[n], sides[n]
+        inverse_x, inverse_y = 1.0 / dx if dx != 0 else _FAR, 1.0 / dy if dy != 0 else _FAR
+        right, up = np.int64(inverse_x > 0), np.int64(inverse_y > 0)
+        rises = dz >= 0
+        fate = ESCAPED if rises and z > top else IN_FLIGHT
+        level, cell_by_cell, crossings = np.int64(BLOCK), near, 0
+        while fate == IN_FLIGHT:
+            node_i, node_j = i >> level, j >> level
+            if cell_by_cell:
+                # Through the cells of a block.
+                first_i, last_i = node_i << BLOCK, min((node_i + 1) << BLOCK, nx) - 1
+                first_j, last_j = node_j << BLOCK, min((node_j + 1) << BLOCK, ny) - 1
+                side = np.int64(-1)
+                while (i >= first_i) & (i <= last_i) & (j >= first_j) & (j <= last_j):
+                    to_x, to_y = (i + right - x) * inverse_x, (j + up - y) * inverse_y
+                    end = min(to_x, to_y)
+                    if z + dz * (way if rises else end) <= tops[np.uint64(j * nx + i)]:
+                        row, column = np.uint64(j), np.uint64(i)
+                        above, beside = np.uint64(j + 1), np.uint64(i + 1)
+                        side, hit = _meet(
+                            x - i, y - j, z, dx, dy, dz, (i + j) & 1, own, way, to_x, to_y, right, up,
+                            heights[row, column], heights[row, beside], heights[above, column], heights[above, beside],
+                        )  # fmt: skip
+                        if side >= 0:
+                            way = hit
+                            break
+                    way, own = end, np.int64(-1)
+                    if to_x < to_y:
+                        i += 2 * right - 1
+                    else:
+                        j += 2 * up - 1
+                if side >= 0:
+                    xs[n], ys[n], zs[n] = x + dx * way, y + dy * way, z + dz * way
+                    columns[n], rows[n], sides[n] = i, j, side
+                    found[struck] = n
+                    struck += 1
+                    break
+                cell_by_cell = False
+            else:
+                edge_x, edge_y = min((node_i + right) << level, nx), min((node_j + up) << level, ny)
+                to_x, to_y = (edge_x - x) * inverse_x, (edge_y - y) * inverse_y
+                end = min(to_x, to_y)
+                if (
+                    z + dz * (way if rises else end)
+                    <= tops[np.uint64(offsets[level] + node_j * widths[level] + node_i)]
+                ):
+                    cell_by_cell = level == BLOCK
+                    level -= not cell_by_cell
+                    continue
+                # Above the node.
+                way, own = end, np.int64(-1)
+                if to_x < to_y:
+                    i = edge_x - 1 + right
+                    j = min(max(np.int64(y + dy * way), node_j << level), min((node_j + 1) << level, ny) - 1)
+                else:
+                    j = edge_y - 1 + up
+                    i = min(max(np.int64(x + dx * way), node_i << level), min((node_i + 1) << level, nx) - 1)
+            if rises and z + dz * way > top:
+                fate = ESCAPED
+            if level < coarsest and ((i >> (level + 1) != node_i >> 1) | (j >> (level + 1) != node_j >> 1)):
+                level += 1
+            over_x, over_y = _beyond(i, nx), _beyond(j, ny)
+            if over_x | over_y:
+                i, x = i - over_x * nx, x - over_x * nx
+                j, y = j - over_y * ny, y - over_y * ny
+                crossings += 1
+                if crossings >= MAX_CROSSINGS and fate == IN_FLIGHT:
+                    fate = TRUNCATED
+        fates[n] = fate
+    return struck
+
+
+@kernel
+def _meet(x, y, z, dx, dy, dz, odd, own, way, to_x, to_y, right, up, h00, h10, h01, h11):  # type: ignore[no-untyped-def]
+    """Where a ray that enters a cell after `way` meets it: (side, way), the side -1 if it does not.
+
+    The cell is [0, 1]², (x, y, z) where the ray begins. A facet is met if the ray is below it where it leaves it,
+    across the diagonal or across an edge, unless it began on that facet, `own`.
+    """
+    end = min(to_x, to_y)
+    if to_x < to_y:
+        low, high, place = h10 if right else h00, h11 if right else h01, y + dy * end
+    else:
+        low, high, place = h01 if up else h00, h11 if up else h10, x + dx * end
+    below_edge = z + dz * end < low + (high - low) * place
+    # The diagonal: above it lies what is to be positive.
+    beyond = y - x if odd else y + x - 1.0
+    rate = dy - dx if odd else dy + dx
+    entered, left = np.int64(beyond + rate * way > 0), np.int64(beyond + rate * end > 0)
+    crossing = -beyond / rate
+    low, high = h00 if odd else h10, h11 if odd else h01
+    below_diagonal = z + dz * crossing < low + (high - low) * (y + dy * crossing)
+    first = (entered != left) & below_diagonal & (entered != own)
+    if first or (below_edge and left != own):
+        side = entered if first else left
+        p, q, corner = _facet(side, odd, h00, h10, h01, h11)
+        rate = dz - p * dx - q * dy
+        if rate < 0:
+            base = corner + p * (x - side) + q * (y - side)
+            return side, min(max((base - z) / rate, way), end)
+    return np.int64(-1), end
+
+
+@kernel
+def _normals(flight, count, grid):  # type: ignore[no-untyped-def]
+    """Put the normals of the facets that have been struck where the struck paths are listed."""
+    per_x, per_y = 1.0 / grid.spacing[0], 1.0 / grid.spacing[1]
+    heights, rows, columns, sides, struck, normals = (
+        grid.heights, flight.j, flight.i, flight.side, flight.struck, flight.normals,
+    )  # fmt: skip
+    for k in range(count):
+        n = np.uint64(struck[k])
+        i, j = columns[n], rows[n]
+        row, column, above, beside = np.uint64(j), np.uint64(i), np.uint64(j + 1), np.uint64(i + 1)
+        h00, h10 = heights[row, column], heights[row, beside]
+        h01, h11 = heights[above, column], heights[above, beside]
+        p, q, _ = _facet(sides[n], (i + j) & 1, h00, h10, h01, h11)
+        p, q = p * per_x, q * per_y
+        scale = 1.0 / math.sqrt(1.0 + p * p + q * q)
+        normals[k, 0], normals[k, 1], normals[k, 2] = -p * scale, -q * scale, scale
+
+
+@kernel
+def _mirror(flight, count):  # type: ignore[no-untyped-def]
+    """Reflect the paths that have been struck."""
+    xs, ys, zs, struck, normals, cosines, hits = (
+        flight.dx, flight.dy, flight.dz, flight.struck, flight.normals, flight.cosines, flight.hits,
+    )  # fmt: skip
+    for k in range(count):
+        n = np.uint64(struck[k])
+        nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+        dx, dy, dz = xs[n], ys[n], zs[n]
+        cosines[k] = min(1.0, -(dx * nx + dy * ny + dz * nz))
+        dx, dy, dz = mirrored(dx, dy, dz, nx, ny, nz)
+        # One Newton step: without it the length would drift over thousands of hits.
+        scale = 1.5 - 0.5 * (dx * dx + dy * dy + dz * dz)
+        xs[n], ys[n], zs[n] = dx * scale, dy * scale, dz * scale
+        hits[n] += 1
+
+
+@kernel
+def _diffuse(flight, count, first_replicate, lamp):  # type: ignore[no-untyped-def]
+    """Send the paths that have been struck off in a direction of their own."""
+    xs, ys, zs, struck, normals = flight.dx, flight.dy, flight.dz, flight.struck, flight.normals
+    paths, members, hits = flight.paths, flight.members, flight.hits
+    for k in range(count):
+        n = np.uint64(struck[k])
+        hits[n] += 1
+        path, replicate = paths[n], first_replicate + members[n]
+        r0, r1, _, _ = philox(path, path >> 32, replicate, hits[n], lamp.key[0], lamp.key[1])
+        xs[n], ys[n], zs[n] = cosine_direction(r0, r1, normals[k, 0], normals[k, 1], normals[k, 2])
+
+
+@kernel
+def _search(flight, count, grid, spent):  # type: ignore[no-untyped-def]
+    """Sort out who is certain to escape; returns how many of the struck have to be followed on."""
+    per_x, per_y = 1.0 / grid.spacing[0], 1.0 / grid.spacing[1]
+    codes, certain = grid.codes, grid.certain
+    xs, ys, zs, columns, rows, way = flight.dx, flight.dy, flight.dz, flight.i, flight.j, flight.way
+    struck, active, fates = flight.struck, flight.active, flight.fates
+    searching = 0
+    for k in range(count):
+        n = np.uint64(struck[k])
+        dx, dy, dz = xs[n] * per_x, ys[n] * per_y, zs[n]
+        code = codes[np.uint64(rows[n] >> BLOCK), np.uint64(columns[n] >> BLOCK), np.uint64(sector(dx, dy))]
+        escapes = (dz > 0) & (dz * dz > certain[code] * (dx * dx + dy * dy))
+        way[n] = 0.0
+        fates[n] = ESCAPED if escapes & (fates[n] == IN_FLIGHT) else fates[n]
+        active[searching] = n
+        searching += not escapes
+    if spent:
+        count, searching = searching, 0
+        for k in range(count):
+            n = active[k]
+            active[searching] = n
+            searching += fates[n] == IN_FLIGHT
+    return searching
+
+
+@kernel
+def _enter_in_ledger(flight, count, ledger):  # type: ignore[no-untyped-def]
+    """What a path lost on its way is absorbed; what it still carries when it ends has escaped or is truncated."""
+    weights, members, fates = flight.weights, flight.members, flight.fates
+    for n in range(count):
+        member, fate = members[n], fates[n]
+        for w in range(weights.shape[1]):
+            carried = integer(weights[n, w])
+            ledger[member, ABSORBED, w] += UNIT - carried
+            if fate >= 0:
+                ledger[member, fate, w] += carried
