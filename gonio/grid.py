@@ -86,7 +86,8 @@ class Grid(NamedTuple):
             float(np.sqrt(np.mean(np.diff(heights, axis=0)[:, :-1] ** 2 + np.diff(heights, axis=1)[:-1] ** 2))) or 1.0
         )
         certain = (unit * _CERTAIN * (1 + MARGIN)) ** 2
-        codes = np.searchsorted(_CERTAIN, slopes / unit).astype(np.uint8)
+        codes = np.empty((*slopes.shape[1:], SECTORS), np.uint8)
+        _in_rows(_encode, len(codes), slopes, unit * _CERTAIN, codes)
         dilated = _dilated(tops, offsets, widths, heights.shape)
         return cls(heights, float(heights.max()), relief.spacing, tops, offsets, widths, dilated, codes, certain)
 
@@ -192,7 +193,7 @@ def _certified_slopes(
     offsets: NDArray[np.int64],
     widths: NDArray[np.int64],
 ) -> Float32s:
-    """(rows, columns, SECTORS) slopes, µm per cell: who leaves a block more steeply hits nothing.
+    """(SECTORS, rows, columns) slopes, µm per cell: who leaves a block more steeply hits nothing.
 
     Up to R = 2^NEAR nodes away no facet rises more steeply toward the sector. Beyond it, from R to 2R, 2R to 4R and so
     on, nothing is higher than a line of that slope from the lowest point of the block, seen from as near as the ring
@@ -205,39 +206,40 @@ def _certified_slopes(
         level -= 1
     shape = _levels(ny, nx)[level]
     lows = bottoms[offsets[level] : offsets[level + 1]].reshape(shape)
-    slopes = np.repeat(((tops[-1] - lows) / (1 << level + NEAR))[..., None], SECTORS, axis=-1)
+    slopes = np.repeat(((tops[-1] - lows) / (1 << level + NEAR))[None], SECTORS, axis=0)
     while level > BLOCK:
         level -= 1
-        coarser, slopes = slopes, np.empty((*_levels(ny, nx)[level], SECTORS), np.float32)
+        coarser, slopes = slopes, np.empty((SECTORS, *_levels(ny, nx)[level]), np.float32)
         near = float(1 << level + NEAR)
         part = slice(offsets[level], offsets[level + 1])
-        nodes = (values[part].reshape(slopes.shape[:2]) for values in (tops, bottoms))
-        _in_rows(_ring, len(slopes), *nodes, level, near, _boxes(near, 2 * near), (ny, nx), coarser, slopes)
-    steepest = np.empty((SECTORS, *slopes.shape[:2]), np.float32)
-    _in_rows(_steepest, len(slopes), heights, _sides(), steepest)
-    _in_rows(_nearby, len(slopes), steepest, _boxes(0.0, float(1 << BLOCK + NEAR)), (ny, nx), slopes)
+        nodes = (values[part].reshape(slopes.shape[1:]) for values in (tops, bottoms))
+        _in_rows(_ring, slopes.shape[1], *nodes, level, near, _boxes(near, 2 * near), (ny, nx), coarser, slopes)
+    steepest = np.empty_like(slopes)
+    _in_rows(_steepest, slopes.shape[1], heights, _sides(), steepest)
+    _in_rows(_nearby, slopes.shape[1], steepest, _boxes(0.0, float(1 << BLOCK + NEAR)), (ny, nx), slopes)
     return slopes
 
 
 @kernel
 def _ring(first, last, tops, bottoms, level, near, boxes, cells, coarser, out):  # type: ignore[no-untyped-def]
     """The bound of one ring, or that of the larger ones if it is higher."""
-    for j in range(first, last):
-        for i in range(out.shape[1]):
-            for k in range(out.shape[2]):
-                top = _highest(i, j, level, boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3], cells, tops)
-                out[j, i, k] = max((top - bottoms[j, i]) / near, coarser[j >> 1, i >> 1, k])
+    for k in range(out.shape[0]):
+        left, right, down, up = boxes[k]
+        for j in range(first, last):
+            for i in range(out.shape[2]):
+                top = _highest(i, j, level, left, right, down, up, cells, tops)
+                out[k, j, i] = max((top - bottoms[j, i]) / near, coarser[k, j >> 1, i >> 1])
 
 
 @kernel
 def _nearby(first, last, steepest, boxes, cells, out):  # type: ignore[no-untyped-def]
     """Raise the bound of every block to the largest slope near it."""
-    for k in range(out.shape[2]):
+    for k in range(out.shape[0]):
         slopes = steepest[k]
+        left, right, down, up = boxes[k]
         for j in range(first, last):
-            for i in range(out.shape[1]):
-                slope = _highest(i, j, BLOCK, boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3], cells, slopes)
-                out[j, i, k] = max(out[j, i, k], slope)
+            for i in range(out.shape[2]):
+                out[k, j, i] = max(out[k, j, i], _highest(i, j, BLOCK, left, right, down, up, cells, slopes))
 
 
 @kernel
@@ -289,3 +291,19 @@ def _steepest(first, last, heights, sides, out):  # type: ignore[no-untyped-def]
             for k in range(SECTORS):
                 slope = max(along[sides[k]], along[(sides[k] + 1) % SECTORS])
                 out[k, block_j, block_i] = slope / math.cos(math.pi / SECTORS) if slope > 0 else slope
+
+
+@kernel
+def _encode(first, last, slopes, certain, out):  # type: ignore[no-untyped-def]
+    """The first entry of `certain` that is not below each slope; `certain` grows by equal factors."""
+    start, rate = math.log2(certain[0]), 1.0 / math.log2(certain[1] / certain[0])
+    for j in range(first, last):
+        for i in range(out.shape[1]):
+            for k in range(out.shape[2]):
+                slope = slopes[k, j, i]
+                code = 0
+                if slope > certain[0]:
+                    code = min(max(int((math.log2(slope) - start) * rate) - 1, 0), certain.size - 1)
+                while certain[code] < slope:
+                    code += 1
+                out[j, i, k] = code

@@ -18,6 +18,7 @@ from gonio.optics import (
     Mirror,
     fresnel_conductor,
     fresnel_dielectric,
+    fresnel_table,
     fresnel_transmittance,
 )
 
@@ -79,6 +80,30 @@ def test_conductor_without_extinction_is_a_dielectric():
     c, eta = np.meshgrid(COSINES, INDICES)
     for a, b in zip(fresnel_conductor(c, eta, 0.0), fresnel_dielectric(c, eta), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-14)
+
+
+@pytest.mark.parametrize("material", SPECULAR[1:], ids=repr)
+def test_the_table_of_reflectances_is_exact_to_ten_digits(material):
+    """Its polynomials, added up as the transport does, at cosines between and on their borders."""
+    wavelengths = np.arange(380.0, 781.0, 5.0)
+    index = material.refractive_index(wavelengths)
+    table = fresnel_table(index.real, index.imag)
+    intervals = len(table)
+    assert intervals > 0
+    cosines = np.concatenate(
+        [COSINES, np.arange(intervals) / intervals, np.random.default_rng(2).uniform(0, 1, 20_000)]
+    )
+    place = np.minimum((cosines * intervals).astype(int), intervals - 1)
+    u = cosines * intervals - place
+    values = sum(table[place, power] * u[:, None] ** power for power in range(6))
+    exact = np.mean(fresnel_conductor(cosines[:, None], index.real, index.imag), axis=0)
+    assert np.abs(values - exact).max() < 2.0**-34
+
+
+@pytest.mark.parametrize("eta", [0.7, 1 / 1.5])
+def test_no_table_is_made_of_total_reflection(eta):
+    assert fresnel_table(np.array([eta]), np.array([0.0])).shape == (0, 6, 1)
+    assert fresnel_table(np.array([1.5, eta]), np.array([0.0, 0.0])).shape == (0, 6, 2)
 
 
 def test_no_contrast_no_reflection_and_brewster_and_grazing():
