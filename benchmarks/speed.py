@@ -1,62 +1,120 @@
-"""How fast the instrument is, against a bare embreex loop over the very same rays, in one run.
+"""Paths per second against Embree alone and against renderers, side by side on one machine.
 
-    make bench
+    .venv/bin/python benchmarks/speed.py [REPETITIONS]
 
-The job: a 1024 x 1024 Gaussian height field of alpha 0.3 in gold at 45 degrees, 3 wavelengths, 1 degree bins. First
-the rays that the instrument asks Embree for are recorded; then both take turns: the whole measurement, and the least
-that any program over embreex can do, which is to ask for those hits again from the same number of threads and do
-nothing with the answers.
+The job: a 1024 x 1024 Gaussian height field in gold, or touching micro-cylinders, light from one direction, 3
+wavelengths, bins of 1 degree, every bounce. Four programs take turns at it:
+
+* gonio;
+* embreex: the same instrument with every ray traced by Embree, as it is done for meshes;
+* bare loop: only those rays asked of Embree again, from as many threads, and nothing done with the answers: what no
+  program over embreex can undercut;
+* Mitsuba 3, if it is installed: `mitsuba_goniometer.py`, an independent virtual goniometer in its llvm variant.
+
+Radiance, if it is installed, measures all 145 Klems patches of light at once; it has a table of its own.
 """
 
 from __future__ import annotations
 
 import os
-import statistics
-import time
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from bench import Times, in_turn, table
 
 import gonio
 import microsurfaces as ms
 
 PATHS = 2_000_000
-REPETITIONS = 7
+REPETITIONS = 5
+ALPHAS = (0.1, 0.3, 0.5, 1.0)
+THETAS = (0.0, 45.0, 75.0)
+WAVELENGTHS = (450.0, 550.0, 650.0)
+GOLD = gonio.Conductor("Au")
+THREADS = os.cpu_count() or 1
 
 
-def main() -> None:
-    """Time both and print a table."""
-    threads = os.cpu_count() or 1
-    started = time.perf_counter()
-    scene = gonio.Scene(ms.Gaussian(alpha=0.3, samples=1024).build(1), gonio.Conductor("Au"))
-    built = time.perf_counter()
-    goniometer = gonio.Goniometer(theta_i=(45,), wavelengths=(450, 550, 650), paths=PATHS)
-    goniometer.measure(scene, threads=threads)
-    print(f"surface and acceleration structure {built - started:.2f} s; first measurement, compilation included, "
-          f"{time.perf_counter() - built:.2f} s")  # fmt: skip
+def main(repetitions: int = REPETITIONS) -> str:
+    """The tables of all surfaces, as Markdown."""
+    rows, agreement = [], []
+    for name, relief, theta in jobs():
+        times, albedos, difference = compared(relief, theta, repetitions)
+        rows.append([name, f"{theta:g}°", *cells(times)])
+        agreement.append([name, f"{theta:g}°", *(albedo(values) for values in albedos), difference])
+        print(" | ".join(map(str, rows[-1])), flush=True)
+    programs = ["gonio", "embreex", "bare loop", "Mitsuba"]
+    ratios = ["times embreex", "times the bare loop", "times Mitsuba"]
+    return (
+        f"{PATHS:,} paths, {THREADS} threads. Millions of paths per second, median of {repetitions} turns (lowest to "
+        f"highest); ratios are medians turn by turn.\n\n{table(['surface', 'light', *programs, *ratios], rows)}\n"
+        "Albedos at 450, 550, 650 nm, and the largest difference between gonio's and Mitsuba's lobes in bins of 5 x 15 "
+        "degrees with more than 10,000 hits, in combined standard errors of independent paths.\n\n"
+        f"{table(['surface', 'light', 'gonio', 'embreex', 'Mitsuba', 'lobes'], agreement)}\n{radiance()}"
+    )
 
-    queries = recorded(scene, lambda: goniometer.measure(scene, threads=threads))
-    rays = sum(len(origins) for origins, _, _ in queries)
 
-    def bare() -> None:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda query: scene.intersect(*query), queries))
+def jobs() -> Iterator[tuple[str, ms.HeightField | ms.Mesh, float]]:
+    """Name, relief and angle of incidence of every job."""
+    for alpha in ALPHAS:
+        relief = ms.Gaussian(alpha=alpha, samples=1024).build(1)
+        yield from ((f"alpha = {alpha:g}", relief, theta) for theta in THETAS)
+    for profile in ("ridges", "grooves"):
+        relief = ms.Cylinders(profile=profile, distance=2.0).build(1)
+        yield from ((f"cylinders, {profile}", relief, theta) for theta in THETAS)
 
-    jobs = {"gonio": lambda: goniometer.measure(scene, threads=threads), "bare embreex": bare}
-    seconds: dict[str, list[float]] = {name: [] for name in jobs}
-    for _ in range(REPETITIONS):
-        for name, job in jobs.items():
-            seconds[name].append(timed(job))
-    print(f"\n{PATHS:,} paths, {rays / PATHS:.2f} rays a path, {threads} threads, {REPETITIONS} repetitions in turn\n")
-    print("| | M paths/s, median (lowest to highest) | M rays/s |")
-    print("|---|---|---|")
-    for name, times in seconds.items():
-        low, middle, high = (PATHS / t / 1e6 for t in (max(times), statistics.median(times), min(times)))
-        print(f"| {name} | {middle:.2f} ({low:.2f} to {high:.2f}) | {middle * rays / PATHS:.2f} |")
-    ratios = [b / g for g, b in zip(seconds["gonio"], seconds["bare embreex"], strict=True)]
-    print(f"\ngonio reaches {statistics.median(ratios):.0%} of the bare loop's paths/s "
-          f"(pair by pair {min(ratios):.0%} to {max(ratios):.0%})")  # fmt: skip
+
+def compared(
+    relief: ms.HeightField | ms.Mesh, theta: float, repetitions: int
+) -> tuple[dict[str, Times], list[np.ndarray | None], str]:
+    """Times by program, albedos of gonio, embreex and Mitsuba, and how far apart the lobes are."""
+    field = isinstance(relief, ms.HeightField)
+    traced = gonio.Scene(relief.mesh() if field else relief, GOLD)
+    scene = gonio.Scene(relief, GOLD) if field else traced
+    goniometer = gonio.Goniometer(theta_i=(theta,), wavelengths=WAVELENGTHS, paths=PATHS)
+    queries = recorded(traced, lambda: goniometer.measure(traced, threads=THREADS))
+    programs: dict[str, Callable[[], object]] = {"gonio": lambda: goniometer.measure(scene, threads=THREADS)}
+    programs["embreex"] = lambda: goniometer.measure(traced, threads=THREADS)
+    programs["bare loop"] = lambda: bare(traced, queries)
+    peer = mitsuba(relief) if field else None
+    if peer:
+        programs["Mitsuba"] = lambda: peer.measure(theta, PATHS, 1)
+    times = in_turn(programs, repetitions)
+    ours = goniometer.measure(scene, threads=THREADS)
+    albedos = [m.albedo()["albedo"].values.ravel() for m in (ours, goniometer.measure(traced, threads=THREADS))]
+    if not peer:
+        return times, [*albedos, None], "-"
+    theirs = peer.measure(theta, PATHS, 2)
+    return times, [*albedos, theirs.albedo], apart(ours, theirs)
+
+
+def mitsuba(relief: ms.HeightField):  # type: ignore[no-untyped-def]
+    """Mitsuba's goniometer over `relief`, or None where Mitsuba or LLVM is missing."""
+    try:
+        from mitsuba_goniometer import MitsubaGoniometer
+
+        return MitsubaGoniometer(relief, GOLD.refractive_index(np.array(WAVELENGTHS)))
+    except (ImportError, RuntimeError) as error:
+        print(f"Without Mitsuba: {error}", file=sys.stderr)
+        return None
+
+
+def apart(ours: gonio.Measurement, theirs) -> str:  # type: ignore[no-untyped-def]
+    """The largest score of a wide bin between both lobes, over all orders and wavelengths."""
+    wide = gonio.HemisphereGrid(theta_step=5, phi_step=15)
+    owners = gonio.HemisphereGrid().owners(wide)
+    light, hits = (
+        np.apply_along_axis(lambda x: np.bincount(owners, x, wide.bins), -1, np.moveaxis(values, 0, -1))
+        for values in (theirs.light.sum(axis=0), theirs.hits.sum(axis=0)[:, None])
+    )
+    sums = ours.sums.sel(order="all").isel(theta_i=0, phi_i=0, bin=slice(-1))
+    launched = float(sums["paths"]) * 2.0**32
+    own = np.stack([np.bincount(owners, w, wide.bins) for w in sums["weight"].values.T / launched])
+    own_hits = np.bincount(owners, sums["hits"].values, wide.bins)
+    full = (own_hits > 10_000) & (hits[0] > 10_000)
+    error = np.sqrt(own**2 / own_hits.clip(1) + light**2 / hits.clip(1))
+    return f"{np.abs((own - light) / error)[:, full].max():.1f} in {full.sum()} bins"
 
 
 def recorded(scene: gonio.Scene, job: Callable[[], object]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -76,12 +134,46 @@ def recorded(scene: gonio.Scene, job: Callable[[], object]) -> list[tuple[np.nda
     return queries
 
 
-def timed(job: Callable[[], object]) -> float:
-    """Seconds that `job` takes."""
-    started = time.perf_counter()
-    job()
-    return time.perf_counter() - started
+def bare(scene: gonio.Scene, queries: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
+    """Ask for all of it again."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(lambda query: scene.intersect(*query) and None, queries))
+
+
+def cells(times: dict[str, Times]) -> list[str]:
+    """Rates of all programs and the ratios of gonio to the others."""
+    names = ("gonio", "embreex", "bare loop", "Mitsuba")
+    rates = [times[name].rate(PATHS) if name in times else "-" for name in names]
+    return rates + [
+        f"**{times['gonio'].times_faster(times[name]):.2f}**" if name in times else "-" for name in names[1:]
+    ]
+
+
+def albedo(values: np.ndarray | None) -> str:
+    """Three numbers, or a dash."""
+    return "-" if values is None else ", ".join(f"{value:.5f}" for value in values)
+
+
+def radiance(samples: int = 10_000) -> str:
+    """Radiance's genBSDF over the same tile as a lossless mirror, against gonio at as many directions."""
+    try:
+        from radiance_goniometer import RadianceGoniometer
+
+        relief = ms.Gaussian(alpha=0.3, samples=1024).build(1)
+        peer = RadianceGoniometer(relief, reflectance=0.9)
+    except ImportError as error:
+        return f"Radiance: {error}\n"
+    result = peer.measure(samples)
+    patch, theta = 0, 0.0
+    goniometer = gonio.Goniometer(theta_i=(theta,), paths=1_000_000, orders=8, wavelengths=(550.0,))
+    orders = goniometer.measure(gonio.Scene(relief, gonio.Mirror())).dataset["albedo"].values.ravel()[1:]
+    expected = float(np.sum(orders * 0.9 ** np.arange(1, len(orders) + 1)))
+    return (
+        f"Radiance's genBSDF, alpha = 0.3, mirror of reflectance 0.9, all 145 Klems patches of light: "
+        f"{result.paths / result.seconds / 1e6:.3f} million paths per second; albedo of the patch about the normal "
+        f"{result.albedo[patch]:.4f}, gonio's at 0° {expected:.4f}.\n"
+    )
 
 
 if __name__ == "__main__":
-    main()
+    print(main(*map(int, sys.argv[1:])))

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 WIDTH = 100
 """No line is wider, however wide the terminal is."""
 
+PICTURES = ("lobes", "slices", "hemisphere")
+"""What is drawn of every measurement that allows it, as functions of `plots` and as files."""
+
 PLAIN_PROGRESS_SECONDS = 10.0
 """Where there is no terminal to draw a bar on, a line this often."""
 
@@ -114,6 +117,7 @@ def run(
     threads: int | None = None,
     seed: int | None = None,
     output: Output = None,
+    no_pictures: Annotated[bool, Parameter(negative="", show_default=False)] = False,
     quiet: Annotated[bool, Parameter(negative="", show_default=False)] = False,
 ) -> None:
     """Measure the BRDF that an experiment file describes.
@@ -134,6 +138,8 @@ def run(
         Seed in place of the file's.
     output
         Folder for the results; out/NAME if not given, where NAME.toml is the experiment.
+    no_pictures
+        Write the numbers only, which takes less time; gonio plot draws them later.
     quiet
         Print nothing but errors.
     """
@@ -153,7 +159,7 @@ def run(
             raise RunError("Interrupted before anything was measured: nothing was written.") from None
     seconds = time.monotonic() - started
     models, complaints = _models(measurement, experiment.compare)
-    files = _write_results(experiment, measurement, models, folder)
+    files = _write_results(experiment, measurement, models, folder, not no_pictures)
     certificate = Certificate.from_json(measurement.attributes["certificate"])
     _complain(0, *complaints)
     if not quiet:
@@ -185,7 +191,7 @@ def _make_writable(folder: Path) -> None:
 
 
 def _write_results(
-    experiment: Experiment, measurement: Measurement, models: Sequence[Model], folder: Path
+    experiment: Experiment, measurement: Measurement, models: Sequence[Model], folder: Path, pictures: bool
 ) -> list[str]:
     """Write the numbers, then the pictures; each file appears whole. The names of the files, the numbers' first."""
     try:
@@ -198,7 +204,10 @@ def _write_results(
         raise RunError(
             f"{folder} cannot be written ({_reason(error)}), nor can {refuge}: the results are lost."
         ) from None
-    return ["measurement.nc", "experiment.toml", *_draw(measurement, models, folder)]
+    # An older picture must not stand beside new numbers.
+    for name in PICTURES:
+        (folder / f"{name}.png").unlink(missing_ok=True)
+    return ["measurement.nc", "experiment.toml", *(_draw(measurement, models, folder) if pictures else ())]
 
 
 def _write_numbers(experiment: Experiment, measurement: Measurement, folder: Path) -> None:
@@ -216,11 +225,9 @@ def _draw(measurement: Measurement, models: Sequence[Model], folder: Path) -> li
     from gonio import plots
 
     drawn = []
-    pictures = {"lobes": {}, "slices": {"models": models}, "hemisphere": {}}
-    for name, options in pictures.items():
+    for name in PICTURES:
         path = folder / f"{name}.png"
-        # An older picture must not stand beside new numbers.
-        path.unlink(missing_ok=True)
+        options = {"models": models} if name == "slices" else {}
         try:
             getattr(plots, name)(measurement, path, **options)
         except (ValueError, OSError) as error:

@@ -107,13 +107,20 @@ class Goniometer:
         job = _Job(self, scene, seed, workers, progress, len(incidences))
         sums = _empty_sums(self)
         interrupted = False
-        for index, (theta, phi) in enumerate(incidences):
-            try:
-                tally = job.incidence(theta, phi, None if replicates is None else replicates[index])
-            except KeyboardInterrupt:
-                interrupted = True
-                break
-            _enter(tally, sums, divmod(index, len(self.phi_i)))
+        # The sums of one incidence are entered while the next is measured.
+        with ThreadPoolExecutor(1) as clerk:
+            entry: Future[None] | None = None
+            for index, (theta, phi) in enumerate(incidences):
+                try:
+                    tally = job.incidence(theta, phi, None if replicates is None else replicates[index])
+                    if entry:
+                        entry.result()
+                except KeyboardInterrupt:
+                    interrupted = True
+                    break
+                entry = clerk.submit(_enter, tally, sums, divmod(index, len(self.phi_i)))
+            if entry:
+                entry.result()
         return Measurement(sums, _attributes(self, scene, seed, interrupted))
 
 

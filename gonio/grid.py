@@ -96,11 +96,10 @@ class Grid(NamedTuple):
         """(ny, nx), cells."""
         return self.heights.shape[0] - 1, self.heights.shape[1] - 1
 
-    def steepest(self, dx: float, dy: float, dz: float) -> tuple[int, int]:
-        """(sector, code) of a direction that rises: blocks whose code in that sector is at most that let it escape."""
-        squared = dx * dx + dy * dy
-        codes = np.flatnonzero(dz * dz > self.certain * squared) if squared else np.arange(len(self.certain))
-        return sector(dx, dy), int(codes[-1]) if codes.size else -1
+    def certainty(self, dx: float, dy: float, dz: float) -> float:
+        """Share of the blocks from which light in a direction, per cell along x and y, is certain to escape."""
+        blocks = self.codes[..., sector(dx, dy)]
+        return float(np.mean(dz * abs(dz) > self.certain[blocks] * (dx * dx + dy * dy)))
 
 
 @kernel

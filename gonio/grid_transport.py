@@ -57,6 +57,9 @@ ROUNDS = 128
 BUNDLE, GUESSED_BUNDLE = 8, 32
 """Paths that a bundle should have at least: fewer where its way begins a search than where it begins a guess."""
 
+NEIGHBOURS = 8
+"""Paths that are close to each other."""
+
 NEWTON = 3
 """Steps of Newton's method towards a first hit, after as many of a neighbour."""
 
@@ -119,35 +122,33 @@ class Flight(NamedTuple):
 
 
 class Beam(NamedTuple):
-    """What is known beforehand of light whose rays are all parallel."""
+    """What is known beforehand of the light."""
 
-    steady: bool
-    """Whether they are; nothing else here counts if not."""
+    parallel: bool
+    """Whether all of it has one direction."""
     vertical: bool
+    """Whether that is straight down."""
     dx: float
     dy: float
     dz: float
-    """The direction in which it travels, cells per µm along x and y."""
-    sector: int
-    code: int
-    """Blocks with at most this code in this sector see the lamp."""
+    """Its direction, the nominal one if there are many; cells per µm along x and y."""
     guess: bool
-    """Whether so many do that first hits are guessed."""
+    """Whether so many blocks are certain to see the lamp that first hits are guessed."""
     level: int
-    """Level of the quadtree whose nodes are as wide as a bundle of rays."""
+    """Level of the quadtree whose nodes are as wide as a bundle of parallel rays."""
 
 
 def beam_of(lamp: Lamp, grid: Grid, paths: int) -> Beam:
-    """The beam of `lamp` if its rays are parallel; `paths` are launched side by side over the tile."""
-    steady = lamp.beam == 0 and not lamp.average
-    dx, dy, dz = incident(0, 0, 0.0, lamp)
-    dx, dy = dx / grid.spacing[0], dy / grid.spacing[1]
-    toward, code = grid.steepest(-dx, -dy, -dz)
-    guess = bool(np.mean(grid.codes[..., toward] <= code) > WORTH)
+    """The beam of `lamp`; `paths` are launched side by side over the tile."""
+    nominal = lamp._replace(beam=0.0, average=False)
+    u, v, w = incident(0, 0, 0.0, nominal)
+    dx, dy = u / grid.spacing[0], v / grid.spacing[1]
+    guess = grid.certainty(-dx, -dy, -w) > WORTH
     ny, nx = grid.shape
-    cells = (GUESSED_BUNDLE if guess else BUNDLE) * nx * ny / paths
-    level = max(1, math.ceil(math.log2(max(1.0, cells)) / 2))
-    return Beam(steady, dx == 0 and dy == 0, dx, dy, dz, toward, code, guess, min(level, len(grid.widths) - 1))
+    bundles = nx * ny / paths * (GUESSED_BUNDLE if guess else BUNDLE)
+    level = min(max(1, math.ceil(math.log2(max(1.0, bundles)) / 2)), len(grid.widths) - 1)
+    vertical = lamp.beam == 0 and lamp.theta == 0
+    return Beam(vertical or lamp == nominal, vertical, dx, dy, w, guess, level)
 
 
 def trace(
@@ -163,8 +164,8 @@ def trace(
     lanes: int = LANES,
 ) -> bool:
     """As `transport.trace`, over a height field."""
-    members = len(replicates)
-    bins, beam = bins_of(detector, phi_i), beam_of(lamp, grid, members * paths)
+    members, bins = len(replicates), bins_of(detector, phi_i)
+    beam = beam_of(lamp, grid, members * paths)
     at_once = max(1, min(lanes // members, paths))
     flight = Flight.of(at_once * members, len(matter.eta))
     catch.bins.fill(0)
@@ -173,20 +174,9 @@ def trace(
     for first in range(0, paths, ROUNDS * at_once):
         last = min(paths, first + ROUNDS * at_once)
         rays = _advance(
-            flight,
-            grid,
-            lamp,
-            beam,
-            matter,
-            bins,
-            turns,
-            replicates.start,
-            paths,
-            first,
-            last,
-            catch.bins,
+            flight, grid, lamp, beam, matter, bins, turns, replicates.start, paths, first, last, catch.bins,
             catch.ledger,
-        )
+        )  # fmt: skip
         if not advanced((last - first) * members, rays):
             return False
     if bins.sector_edges.size:
@@ -207,18 +197,17 @@ def _advance(flight, grid, lamp, beam, matter, bins, turns, first_replicate, pat
     while first < last:
         some = min(at_once, last - first)
         count = some * turns.size
-        _launch(flight, first, some, paths, first_replicate, turns, lamp, grid)
+        _launch(flight, first, some, paths, first_replicate, turns, lamp, beam, grid)
         struck, searching = 0, count
-        if not beam.steady:
-            _anywhere(flight, count)
-        elif beam.vertical:
+        if beam.vertical:
             struck, searching = _drop(flight, count, grid), 0
         else:
-            _approach(flight, count, beam, grid, nodes, ways)
-            _enter(flight, count, beam, grid)
+            if beam.parallel:
+                _approach(flight, count, beam, grid, nodes, ways)
+            _enter(flight, count, grid)
             if beam.guess:
-                struck, searching = _guess(flight, count, turns.size, beam, grid)
-        near = beam.steady
+                struck, searching = _guess(flight, count, grid)
+        near = beam.parallel
         rays += count
         while searching + struck:
             struck = _walk(flight, searching, struck, grid, near)
@@ -247,12 +236,11 @@ def _advance(flight, grid, lamp, beam, matter, bins, turns, first_replicate, pat
 
 
 @kernel
-def _launch(flight, first, some, paths, first_replicate, turns, lamp, grid):  # type: ignore[no-untyped-def]
+def _launch(flight, first, some, paths, first_replicate, turns, lamp, beam, grid):  # type: ignore[no-untyped-def]
     """Start `some` paths from `first` on in all replicates, on the plane that touches the highest point."""
     ny, nx = grid.heights.shape[0] - 1, grid.heights.shape[1] - 1
     x, y, dx, dy, dz = flight.x, flight.y, flight.dx, flight.dy, flight.dz
     numbers, members = flight.paths, flight.members
-    steady = lamp.beam == 0 and not lamp.average
     u, v, w = incident(first, 0, 0.0, lamp)
     n = 0
     for path in range(first, first + some):
@@ -263,24 +251,17 @@ def _launch(flight, first, some, paths, first_replicate, turns, lamp, grid):  # 
                 words = philox(path, path >> 32, replicate // 4, 0, lamp.key[0], lamp.key[1])
             along_x, along_y = start(path, paths, words[replicate % 4])
             x[n], y[n] = along_x * nx, along_y * ny
-            if not steady:
+            if not beam.parallel:
                 u, v, w = incident(path, replicate, turns[member], lamp)
             dx[n], dy[n], dz[n] = u, v, w
             numbers[n], members[n] = path, member
             n += 1
     flight.z[:n] = grid.top
+    flight.way[:n] = 0.0
     flight.side[:n] = -1
     flight.hits[:n] = 0
     flight.fates[:n] = IN_FLIGHT
     flight.weights[:n] = 1.0
-
-
-@kernel
-def _anywhere(flight, count):  # type: ignore[no-untyped-def]
-    """Light from all directions: nothing is known of its way."""
-    x, y, way, columns, rows, active = flight.x, flight.y, flight.way, flight.i, flight.j, flight.active
-    for n in range(count):
-        columns[n], rows[n], way[n], active[n] = np.int64(x[n]), np.int64(y[n]), 0.0, n
 
 
 @kernel
@@ -382,12 +363,14 @@ def _beyond(i, n):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _enter(flight, count, beam, grid):  # type: ignore[no-untyped-def]
+def _enter(flight, count, grid):  # type: ignore[no-untyped-def]
     """Bring every path into the tile and the cell where it ceases to be free."""
     ny, nx = grid.heights.shape[0] - 1, grid.heights.shape[1] - 1
-    x, y, way, columns, rows, active = flight.x, flight.y, flight.way, flight.i, flight.j, flight.active
+    per_x, per_y = 1.0 / grid.spacing[0], 1.0 / grid.spacing[1]
+    x, y, dx, dy, way = flight.x, flight.y, flight.dx, flight.dy, flight.way
+    columns, rows, active = flight.i, flight.j, flight.active
     for n in range(count):
-        u, v = x[n] + beam.dx * way[n], y[n] + beam.dy * way[n]
+        u, v = x[n] + dx[n] * per_x * way[n], y[n] + dy[n] * per_y * way[n]
         shift_x, shift_y = math.floor(u / nx) * nx, math.floor(v / ny) * ny
         x[n], y[n] = x[n] - shift_x, y[n] - shift_y
         columns[n], rows[n] = min(np.int64(u - shift_x), nx - 1), min(np.int64(v - shift_y), ny - 1)
@@ -395,31 +378,40 @@ def _enter(flight, count, beam, grid):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _guess(flight, count, members, beam, grid):  # type: ignore[no-untyped-def]
+def _certain(dx, dy, dz, certain):  # type: ignore[no-untyped-def]
+    """Whether light in a direction, per cell, is certain to escape where the table says so for its sector."""
+    return (dz > 0) & (dz * dz > certain * (dx * dx + dy * dy))
+
+
+@kernel
+def _guess(flight, count, grid):  # type: ignore[no-untyped-def]
     """Find first hits by Newton's method. Returns how many are proven, and how many have to be searched for.
 
-    The `members` of one path start in one cell of the stratification: what the first has found the others begin with.
-
-    What the lamp is certain to see is the first that its light meets.
+    What the lamp is certain to see is the first that its light meets. Neighbours hit close to each other: what the
+    first of them has found the others begin with.
     """
     x, y, z, way, side, columns, rows = flight.x, flight.y, flight.z, flight.way, flight.side, flight.i, flight.j
-    active, struck, codes = flight.active, flight.struck, grid.codes
+    dx, dy, dz, active, struck = flight.dx, flight.dy, flight.dz, flight.active, flight.struck
+    codes, certain, top = grid.codes, grid.certain, grid.top
+    per_x, per_y = 1.0 / grid.spacing[0], 1.0 / grid.spacing[1]
     # Scratch: the way to the next guess, and on which facets the last two lay.
     ways, facets = flight.cosines, flight.arrivals
     for n in range(count):
         ways[n] = way[n]
         facets[n, 0] = -1
     for _ in range(NEWTON):
-        _improve(x, y, ways, facets, count, members, beam.dx, beam.dy, beam.dz, grid.top, grid.heights)
+        _improve(flight, count, NEIGHBOURS, grid)
     for n in range(count):
-        ways[n] = ways[n - n % members]
+        ways[n] = ways[n - n % NEIGHBOURS]
     for _ in range(NEWTON):
-        _improve(x, y, ways, facets, count, 1, beam.dx, beam.dy, beam.dz, grid.top, grid.heights)
+        _improve(flight, count, 1, grid)
     proven = searched = 0
     for n in range(count):
         facet = max(facets[n, 0], 0)
         s, i, j = facet & 1, facet >> 1 & _COLUMN, facet >> _ROW
-        seen = codes[np.uint64(j >> BLOCK), np.uint64(i >> BLOCK), np.uint64(beam.sector)] <= beam.code
+        u, v, w = dx[n] * per_x, dy[n] * per_y, dz[n]
+        code = codes[np.uint64(j >> BLOCK), np.uint64(i >> BLOCK), np.uint64(sector(-u, -v))]
+        seen = _certain(-u, -v, -w, certain[code])
         ok = (facets[n, 0] >= 0) & (facet == facets[n, 1]) & seen & (ways[n] >= 0)
         active[searched] = n
         searched += not ok
@@ -427,16 +419,22 @@ def _guess(flight, count, members, beam, grid):  # type: ignore[no-untyped-def]
         proven += ok
         if ok:
             columns[n], rows[n], side[n] = i, j, s
-            x[n], y[n], z[n] = x[n] + beam.dx * ways[n], y[n] + beam.dy * ways[n], grid.top + beam.dz * ways[n]
+            x[n], y[n], z[n] = x[n] + u * ways[n], y[n] + v * ways[n], top + w * ways[n]
     return proven, searched
 
 
 @kernel
-def _improve(x, y, ways, facets, count, step, dx, dy, dz, top, heights):  # type: ignore[no-untyped-def]
+def _improve(flight, count, step, grid):  # type: ignore[no-untyped-def]
     """One step of Newton's method for every `step`-th path: meet the plane of the facet that lies under the guess."""
+    x, y, dx, dy, dz, ways, facets = (
+        flight.x, flight.y, flight.dx, flight.dy, flight.dz, flight.cosines, flight.arrivals,
+    )  # fmt: skip
+    heights, top = grid.heights, grid.top
+    per_x, per_y = 1.0 / grid.spacing[0], 1.0 / grid.spacing[1]
     ny, nx = heights.shape[0] - 1, heights.shape[1] - 1
     for n in range(0, count, step):
-        u, v = x[n] + dx * ways[n], y[n] + dy * ways[n]
+        along_x, along_y = dx[n] * per_x, dy[n] * per_y
+        u, v = x[n] + along_x * ways[n], y[n] + along_y * ways[n]
         i, j = min(max(np.int64(u), 0), nx - 1), min(max(np.int64(v), 0), ny - 1)
         odd = (i + j) & 1
         s = _side_at(u - i, v - j, odd)
@@ -445,9 +443,9 @@ def _improve(x, y, ways, facets, count, step, dx, dy, dz, top, heights):  # type
         h01, h11 = heights[above, column], heights[above, beside]
         p, q, corner = _facet(s, odd, h00, h10, h01, h11)
         base = corner + p * (x[n] - i - s) + q * (y[n] - j - s)
-        ways[n] = (base - top) / (dz - p * dx - q * dy)
-        facets[n, 1] = facets[n, 0]
+        ways[n] = (base - top) / (dz[n] - p * along_x - q * along_y)
         inside = (u >= 0) & (u < nx) & (v >= 0) & (v < ny)
+        facets[n, 1] = facets[n, 0]
         facets[n, 0] = j << _ROW | i << 1 | s if inside else -1
 
 
@@ -636,7 +634,7 @@ def _search(flight, count, grid, spent):  # type: ignore[no-untyped-def]
         n = np.uint64(struck[k])
         dx, dy, dz = xs[n] * per_x, ys[n] * per_y, zs[n]
         code = codes[np.uint64(rows[n] >> BLOCK), np.uint64(columns[n] >> BLOCK), np.uint64(sector(dx, dy))]
-        escapes = (dz > 0) & (dz * dz > certain[code] * (dx * dx + dy * dy))
+        escapes = _certain(dx, dy, dz, certain[code])
         way[n] = 0.0
         fates[n] = ESCAPED if escapes & (fates[n] == IN_FLIGHT) else fates[n]
         active[searching] = n

@@ -20,6 +20,9 @@ UNIT = 1 << 32
 MAX_PATHS = (1 << 31) - 1
 """More launched paths than this would overflow the 64-bit sums."""
 
+SLABS = 11
+"""Parts of the sums that threads add to one at a time; prime, so that groups of replicates begin in different ones."""
+
 _LOW = uint64(0xFFFFFFFF)
 _HALF = uint64(32)
 
@@ -81,7 +84,7 @@ class Tally:
     ledger: NDArray[np.int64]
     """Absorbed, truncated, lost: (3, W)."""
     replicates: int = 0
-    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _locks: list[threading.Lock] = field(default_factory=lambda: [threading.Lock() for _ in range(SLABS)])
 
     @classmethod
     def empty(cls, pilot: int, paths: int, shape: tuple[int, int, int]) -> Self:
@@ -94,8 +97,14 @@ class Tally:
     def add(self, replicates: range, caught: NDArray[np.int64], ledger: NDArray[np.int64]) -> None:
         """Add what a group of replicates caught, (orders, bins, replicates, W and the number of paths), and lost."""
         pilots = np.array(replicates) < self.pilot
-        with self._lock:
-            _absorb(caught, pilots, self.total, self.piloted, self.squares.high, self.squares.low, self.hits)
+        sums = (self.total, self.piloted, self.squares.high, self.squares.low, self.hits)
+        edges = [len(self.hits[0]) * slab // SLABS for slab in range(SLABS + 1)]
+        for slab in range(replicates.start, replicates.start + SLABS):
+            # Threads that finish together begin in different slabs.
+            slab %= SLABS
+            with self._locks[slab]:
+                _absorb(caught, pilots, edges[slab], edges[slab + 1], *sums)
+        with self._locks[0]:
             self.ledger += ledger.sum(axis=0)
             self.replicates += len(replicates)
 
@@ -105,10 +114,10 @@ class Tally:
 
 
 @njit(cache=True, nogil=True)
-def _absorb(caught, pilots, total, piloted, high, low, hits):  # type: ignore[no-untyped-def]
-    orders, bins, members, width = caught.shape
+def _absorb(caught, pilots, first, last, total, piloted, high, low, hits):  # type: ignore[no-untyped-def]
+    orders, _, members, width = caught.shape
     width -= 1
-    for place in range(bins):
+    for place in range(first, last):
         for member in range(members):
             count = 0
             for order in range(orders):
