@@ -1,7 +1,7 @@
 # make demo    install into .venv and measure a gold surface: out/gold_beckmann/
 # make test    install what the tests need and run them
 # make check   the tests and everything a change is held to before it is shared
-# make bench   how many paths a second, against a bare Embree loop; how many values of a model
+# make bench   speed against Embree alone and against renderers, growth, memory: benchmarks/RESULTS.md (half an hour)
 # make clean   remove what these made
 
 PYTHON ?= python3
@@ -24,8 +24,7 @@ check: $(VENV)/dev
 	$(BIN)/python -m pytest
 
 bench: $(VENV)/demo
-	$(BIN)/python benchmarks/speed.py
-	$(BIN)/python benchmarks/models.py
+	$(BIN)/python benchmarks/everything.py
 
 clean:
 	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

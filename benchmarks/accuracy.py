@@ -70,9 +70,9 @@ def data_set(target: float = 0.02) -> str:
     each = errors.median(("theta_o", "dphi", "phi_i")).max("wavelength").values
     return (
         f"One isotropic data set: alpha = 0.3, 1024² nodes, 19 incidences, 1° bins, 3 wavelengths, averaged over "
-        f"azimuth, {paths:,} paths an incidence: **{seconds:.0f} s**, surface and set-up included. Median relative Monte "
-        f"Carlo error of the bins above 1 % of the peak: {float(errors.median()):.2%} over all, {each.max():.2%} at the worst "
-        f"incidence (wanted: below {target:.0%}).\n"
+        f"azimuth, {paths:,} paths an incidence: **{seconds:.0f} s**, surface and set-up included. Median relative "
+        f"Monte Carlo error of the bins above 1 % of the peak: {float(errors.median()):.2%} over all, {each.max():.2%} "
+        f"at the worst incidence (wanted: below {target:.0%}).\n"
     )
 
 

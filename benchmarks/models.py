@@ -12,6 +12,7 @@ import statistics
 import time
 
 import numpy as np
+from bench import table
 
 from gonio.models import (
     GGX,
@@ -51,8 +52,8 @@ MODELS = {
 }
 
 
-def main() -> None:
-    """Print a Markdown table."""
+def main() -> str:
+    """A Markdown table."""
     if hasattr(os, "sched_setaffinity"):  # Linux; elsewhere a model may use more cores
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     random = np.random.default_rng(1)
@@ -66,10 +67,9 @@ def main() -> None:
             MODELS[name].eval(wi[:count], wo[:count])
             if repetition:  # the first compiles
                 rates[name].append(count / (time.perf_counter() - started) / 1e6)
-    print("| model | M pairs/s, one core, one wavelength | slowest to fastest |\n| --- | --- | --- |")
-    for name, rate in rates.items():
-        print(f"| {name} | {statistics.median(rate):.3g} | {min(rate):.3g} to {max(rate):.3g} |")
+    rows = [[n, f"{statistics.median(r):.3g}", f"{min(r):.3g} to {max(r):.3g}"] for n, r in rates.items()]
+    return table(["model", "M pairs/s, one core, one wavelength", "slowest to fastest"], rows)
 
 
 if __name__ == "__main__":
-    main()
+    print(main())
