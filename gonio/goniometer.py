@@ -233,8 +233,8 @@ class _Job:
             catch = Catch.empty(len(replicates), labels - 1, bins, width)
         if trace(self.scene, *setting, replicates, tally.paths, catch, self._advanced):
             tally.add(replicates, catch.bins, catch.ledger)
-        with self.lock:
-            self.spare.append(catch)
+            with self.lock:
+                self.spare.append(catch)
 
     def _advanced(self, paths: int, rays: int) -> bool:
         with self.lock:

@@ -42,6 +42,7 @@ from gonio.paths import (
     replicate_turn,
     sight,
     start,
+    total_up,
     weigh,
 )
 from gonio.randomness import kernel, philox
@@ -168,8 +169,6 @@ def trace(
     beam = beam_of(lamp, grid, members * paths)
     at_once = max(1, min(lanes // members, paths))
     flight = Flight.of(at_once * members, len(matter.eta))
-    catch.bins.fill(0)
-    catch.ledger.fill(0)
     turns = np.array([replicate_turn(replicate, lamp.key) for replicate in replicates])
     for first in range(0, paths, ROUNDS * at_once):
         last = min(paths, first + ROUNDS * at_once)
@@ -180,8 +179,7 @@ def trace(
         if not advanced((last - first) * members, rays):
             return False
     if bins.sector_edges.size:
-        # Escaped is the sum of the bins themselves, not a second counter.
-        catch.bins[:, -1] = catch.bins[:, :-1].sum(axis=1)
+        total_up(catch.bins)
     balance(catch, paths)
     return True
 

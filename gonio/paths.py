@@ -151,6 +151,18 @@ def _sector_table(sectors: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]
     return np.stack([np.cos(edges), np.sin(edges)], axis=-1), np.minimum(first, sectors)
 
 
+@kernel
+def total_up(caught):  # type: ignore[no-untyped-def]
+    """Fill in the whole hemisphere, the last bin, from all others: escaped is their sum, not a second counter."""
+    orders, places, members, width = caught.shape
+    for order in range(orders):
+        for place in range(places - 1):
+            for member in range(members):
+                if caught[order, place, member, width - 1] > 0:
+                    for w in range(width):
+                        caught[order, places - 1, member, w] += caught[order, place, member, w]
+
+
 def balance(catch: Catch, paths: int) -> None:
     """launched = escaped + absorbed + truncated + lost, exactly, or the instrument is broken."""
     spent = catch.bins[:, -1, :, :-1].sum(axis=0) + catch.ledger.sum(axis=1)

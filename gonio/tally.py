@@ -95,7 +95,10 @@ class Tally:
         )
 
     def add(self, replicates: range, caught: NDArray[np.int64], ledger: NDArray[np.int64]) -> None:
-        """Add what a group of replicates caught, (orders, bins, replicates, W and the number of paths), and lost."""
+        """Add what a group of replicates caught, (orders, bins, replicates, W and the number of paths), and lost.
+
+        Both arrays hold zeros afterwards, ready for the next group.
+        """
         pilots = np.array(replicates) < self.pilot
         sums = (self.total, self.piloted, self.squares.high, self.squares.low, self.hits)
         edges = [len(self.hits[0]) * slab // SLABS for slab in range(SLABS + 1)]
@@ -106,6 +109,7 @@ class Tally:
                 _absorb(caught, pilots, edges[slab], edges[slab + 1], *sums)
         with self._locks[0]:
             self.ledger += ledger.sum(axis=0)
+            ledger.fill(0)
             self.replicates += len(replicates)
 
     def scatter(self) -> Wide:
@@ -117,6 +121,7 @@ class Tally:
 def _absorb(caught, pilots, first, last, total, piloted, high, low, hits):  # type: ignore[no-untyped-def]
     orders, _, members, width = caught.shape
     width -= 1
+    whole = np.zeros(width, np.int64)
     for place in range(first, last):
         for member in range(members):
             count = 0
@@ -126,13 +131,13 @@ def _absorb(caught, pilots, first, last, total, piloted, high, low, hits):  # ty
             hits[0, place] += count
             if count == 0:
                 continue
-            for w in range(width):
-                whole = 0
-                for order in range(orders - 1, -2, -1):
-                    value = caught[order, place, member, w] if order >= 0 else whole
-                    whole += value
-                    if value == 0:
-                        continue
+            whole[:] = 0
+            for order in range(orders - 1, -2, -1):
+                if order >= 0 and caught[order, place, member, width] == 0:
+                    continue
+                for w in range(width):
+                    value = caught[order, place, member, w] if order >= 0 else whole[w]
+                    whole[w] += value
                     total[order + 1, place, w] += value
                     if pilots[member]:
                         piloted[order + 1, place, w] += value
@@ -140,6 +145,8 @@ def _absorb(caught, pilots, first, last, total, piloted, high, low, hits):  # ty
                         before = low[order + 1, place, w]
                         low[order + 1, place, w] = before + square_low
                         high[order + 1, place, w] += square_high + uint64(low[order + 1, place, w] < before)
+                if order >= 0:
+                    caught[order, place, member] = 0
 
 
 @njit(cache=True, nogil=True)

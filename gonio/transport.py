@@ -38,6 +38,7 @@ from gonio.paths import (
     replicate_turn,
     sight,
     start,
+    total_up,
     unit,
     weigh,
 )
@@ -87,7 +88,7 @@ def trace(
     advanced: Callable[[int, int], bool],
     wave: int = WAVE,
 ) -> bool:
-    """Trace all `paths` of each of a group of replicates into `catch`, which is cleared first.
+    """Trace all `paths` of each of a group of replicates into `catch`, which holds nothing yet.
 
     The replicates advance over the sample side by side: as many times more rays share what the caches hold of it.
     `advanced(paths, rays)` is told after every wave what was newly done; when it returns False the group is given up,
@@ -110,8 +111,6 @@ def trace(
     bins = bins_of(detector, phi_i)
     on_grid = bool(bins.sector_edges.size)
     state = _empty_wave(min(wave, total), len(matter.eta))
-    catch.bins.fill(0)
-    catch.ledger.fill(0)
     turns = np.array([replicate_turn(replicate, lamp.key) for replicate in replicates])
     active = launched = 0
     while active or launched < total:
@@ -135,8 +134,7 @@ def trace(
             return False
         active = left
     if on_grid:
-        # Escaped is the sum of the bins themselves, not a second counter.
-        catch.bins[:, -1] = catch.bins[:, :-1].sum(axis=1)
+        total_up(catch.bins)
     balance(catch, paths)
     return True
 

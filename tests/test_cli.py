@@ -119,6 +119,17 @@ def test_one_specimen_is_said_to_be_one(run: Gonio) -> None:
     assert "One specimen was measured" in out
 
 
+def test_without_pictures_no_older_ones_are_left_beside_new_numbers(run: Gonio) -> None:
+    older = Path("out/toy/lobes.png")
+    older.parent.mkdir(parents=True)
+    older.write_bytes(b"older")
+    code, out, err = run("run", "toy.toml", "--no-pictures")
+    assert (code, err) == (0, "")
+    assert files() == {"toy.toml", "out/toy/measurement.nc", "out/toy/experiment.toml"}
+    assert "lobes.png" not in out
+    assert run("run", "toy.toml", "--no-picture")[0] == 2
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_a_model_that_cannot_describe_the_specimen_does_not_lose_the_measurement(run: Gonio) -> None:
     changes = ("--set", "surface={kind='Flat'}", "--set", "compare=['CookTorrance']")
