@@ -33,7 +33,7 @@ Progress = Callable[[int, int, int], None]
 
 _TICK = 0.1
 
-GROUP_BYTES = 64 << 20
+GROUP_BYTES = 192 << 20
 """What the bins of the replicates that one thread traces side by side may take; one replicate always may."""
 
 

@@ -9,14 +9,18 @@ import functools
 import importlib
 import inspect
 import math
+import pkgutil
 import textwrap
 from typing import NamedTuple
 
 import numba
 import numpy as np
 import pytest
+import test_grid
+from reliefs import RELIEFS
 from statistical import assert_covers, assert_equal_within_noise
 
+import gonio
 import microsurfaces as ms
 from gonio import optics
 from gonio.detectors import Apertures, HemisphereGrid, cone_quadrature
@@ -46,6 +50,17 @@ def glass(cosine):
     return GLASS.reflectance(np.array([cosine]), GREEN).item()
 
 
+def traced_both_ways(law):
+    """The law for a height field, which is traced by its grid, and for its mesh, which is traced by Embree."""
+
+    @functools.wraps(law)
+    def both():
+        for way in (lambda relief: relief, lambda relief: relief.mesh()):
+            law(way)
+
+    return both
+
+
 @functools.cache
 def rough():
     """A small tile with steep slopes: most light that grazes it is hit again behind a seam."""
@@ -53,32 +68,47 @@ def rough():
 
 
 @functools.cache
+def flat():
+    return ms.Flat().build(0)
+
+
+def grooves(seed=0, **recipe):
+    """V-grooves as a height field; their lines lie at equal distances."""
+    mesh = ms.VGrooves(**recipe).build(seed)
+    x, first = np.unique(mesh.vertices[:, 0], return_index=True)
+    return ms.HeightField(np.tile(mesh.vertices[first[:-1], 2], (2, 1)), (x[1] - x[0], mesh.period[1] / 2))
+
+
+@functools.cache
 def cylinders(profile, distance):
+    """A mesh with exact normals, and walls where the distance is 2."""
     return ms.Cylinders(profile=profile, radius=1.0, distance=distance, chords=1000).build(0)
 
 
 # -------------------------------------------------------------------------------------------------------- the laws
 
 
-def a_lossless_surface_returns_all_light():
-    ledger = measure(rough(), optics.Mirror(), theta_i=(0, 60, 85), paths=300_000, detector=COARSE).ledger()
+@traced_both_ways
+def a_lossless_surface_returns_all_light(way):
+    ledger = measure(way(rough()), optics.Mirror(), theta_i=(0, 60, 85), paths=300_000, detector=COARSE).ledger()
     lost, absorbed = float(ledger["lost"].max() + ledger["truncated"].max()), float(ledger["absorbed"].max())
     assert absorbed == 0, f"{absorbed:.2g} of the light is absorbed"
     assert lost < 1e-5, f"{lost:.2g} of the light is lost"
 
 
-def steep_grooves_lose_no_light():
+@traced_both_ways
+def steep_grooves_lose_no_light(way):
     """Up to five hits near the bottom, a concave edge."""
-    measurement = measure(ms.VGrooves(angle=70).build(0), optics.Mirror(), theta_i=(0, 60), paths=300_000)
+    measurement = measure(way(grooves(angle=70)), optics.Mirror(), theta_i=(0, 60), paths=300_000)
     ledger = measurement.ledger()
     lost = float((ledger["lost"] + ledger["truncated"]).max())
     assert lost < 2e-5, f"{lost:.2g} of the light is lost"
 
 
-def a_flat_mirror_sends_fresnel_into_one_bin(azimuth="fixed"):
+def light_of_one_bin(relief, azimuth):
     theta_i = (0, 35, 70)
     measurement = measure(
-        ms.Flat().build(0), GLASS, theta_i=theta_i, phi_i=(0, 37, 211), paths=64, detector=COARSE, azimuth=azimuth
+        relief, GLASS, theta_i=theta_i, phi_i=(0, 37, 211), paths=64, detector=COARSE, azimuth=azimuth
     )
     for theta in theta_i:
         expected = glass(math.cos(math.radians(theta)))
@@ -86,54 +116,64 @@ def a_flat_mirror_sends_fresnel_into_one_bin(azimuth="fixed"):
         np.testing.assert_allclose(share, expected, rtol=2e-5, err_msg=f"theta_i = {theta}")
 
 
-def turning_a_flat_mirror_changes_nothing():
-    a_flat_mirror_sends_fresnel_into_one_bin(azimuth="average")
+@traced_both_ways
+def a_flat_mirror_sends_fresnel_into_one_bin(way):
+    light_of_one_bin(way(flat()), "fixed")
 
 
-def a_flat_diffuser_is_rho_over_pi_everywhere():
+@traced_both_ways
+def turning_a_flat_mirror_changes_nothing(way):
+    light_of_one_bin(way(flat()), "average")
+
+
+@traced_both_ways
+def a_flat_diffuser_is_rho_over_pi_everywhere(way):
     """In bins so wide that the cosine of their centre is 3 % off."""
     grid = HemisphereGrid(theta_step=30, phi_step=90)
-    data = measure(ms.Flat().build(0), optics.Lambertian(0.8), theta_i=(0, 60), paths=1_000_000, detector=grid).dataset
+    data = measure(way(flat()), optics.Lambertian(0.8), theta_i=(0, 60), paths=1_000_000, detector=grid).dataset
     bins = data.sel(order="all")
     assert_equal_within_noise(bins["brdf"].values, 0.8 / math.pi, bins["standard_error"].values, 15)
 
 
-def error_bars_cover_the_truth():
+@traced_both_ways
+def error_bars_cover_the_truth(way):
     """Scores of the bins of a flat diffuser."""
     grid = HemisphereGrid(theta_step=6, phi_step=12)
-    data = measure(
-        ms.Flat().build(0), optics.Lambertian(1.0), theta_i=(0, 30, 60), paths=500_000, detector=grid
-    ).dataset
+    data = measure(way(flat()), optics.Lambertian(1.0), theta_i=(0, 30, 60), paths=500_000, detector=grid).dataset
     bins = data.sel(order="all")
     scores = ((bins["brdf"] - 1 / math.pi) / bins["standard_error"]).values
     assert_covers(scores[..., 1:, :, :].ravel(), 15)  # bins of the cap are the same few paths turned about
 
 
-def error_bars_of_mirrors_cover_the_truth():
-    """Half of the light leaves a half-pipe after one hit, if it comes from above; where it starts is all the chance."""
-    relief = cylinders("grooves", 2.0)
-    data = [
-        measure(relief, optics.Mirror(), seed, paths=1600, detector=COARSE).dataset.sel(order="1")
-        for seed in range(100)
-    ]
-    scores = [((d["albedo"] - 0.5) / d["albedo_standard_error"]).item() for d in data]
+@traced_both_ways
+def error_bars_of_mirrors_cover_the_truth(way):
+    """Light from above leaves grooves of 38 degrees after one hit if it came in high enough; that is all the chance."""
+    relief, expected = way(grooves(angle=38)), 2 * math.cos(math.radians(76))
+    scores = []
+    for seed in range(100):
+        data = measure(relief, optics.Mirror(), seed, paths=1600, detector=COARSE).dataset.sel(order="1")
+        scores.append(((data["albedo"] - expected) / data["albedo_standard_error"]).item())
     assert np.isfinite(scores).all()
     assert_covers(np.array(scores), 15)
 
 
-def a_source_cone_averages_fresnel_over_its_directions():
+@traced_both_ways
+def a_source_cone_averages_fresnel_over_its_directions(way):
     theta, half_angle = 60.0, 29.0
     wo, weight = cone_quadrature(np.array([theta]), np.array([0.0]), half_angle, 32)
     expected = (weight[..., None] * GLASS.reflectance(wo[..., 2], GREEN)).sum()
     albedo = measure(
-        ms.Flat().build(0), GLASS, theta_i=(theta,), beam_half_angle=half_angle, paths=200_000, detector=COARSE
+        way(flat()), GLASS, theta_i=(theta,), beam_half_angle=half_angle, paths=200_000, detector=COARSE
     ).albedo()
     assert_equal_within_noise(albedo["albedo"].values, expected, albedo["standard_error"].values, 15)
 
 
-def cones_are_reciprocal():
+@traced_both_ways
+def cones_are_reciprocal(way):
     """Cone A lit and cone B seen is cone B lit and cone A seen."""
-    relief = ms.Gaussian(alpha_x=0.3, alpha_y=0.6, rotation=20, samples=128, side=80.0, correlation_length=8.0).build(5)
+    relief = way(
+        ms.Gaussian(alpha_x=0.3, alpha_y=0.6, rotation=20, samples=128, side=80.0, correlation_length=8.0).build(5)
+    )
     a, b, half_angle = (20.0, 10.0), (60.0, 160.0), 15.0
     (there, there_error), (back, back_error) = (
         (data["brdf"].item(), data["standard_error_mc"].item())
@@ -149,8 +189,9 @@ def cones_are_reciprocal():
     assert_equal_within_noise(there, back, math.hypot(there_error, back_error), 15)
 
 
-def a_right_angled_groove_returns_light_after_two_hits():
-    measurement = measure(ms.VGrooves(angle=45).build(0), optics.Mirror(), paths=200_000, detector=COARSE)
+@traced_both_ways
+def a_right_angled_groove_returns_light_after_two_hits(way):
+    measurement = measure(way(grooves(angle=45)), optics.Mirror(), paths=200_000, detector=COARSE)
     assert one_bin(measurement, 0, measurement.dataset["dphi"], order="2").sum() > 1 - 2e-5
 
 
@@ -173,12 +214,11 @@ def cylinders_hide_what_the_closed_form_hides():
         np.testing.assert_allclose(data["albedo"].sel(order="1").values.ravel(), expected, atol=5e-4)
 
 
-def facets_reflect_with_fresnel_at_their_own_angle():
+@traced_both_ways
+def facets_reflect_with_fresnel_at_their_own_angle(way):
     """Grooves of 10 degrees, lit at 44 across: facets at 34 degrees send their part to 24, those at 54 to 64."""
     slope, theta = math.radians(10), math.radians(44)
-    measurement = measure(
-        ms.VGrooves(angle=10).build(0), GLASS, theta_i=(44,), paths=100_000, detector=HemisphereGrid(2, 15)
-    )
+    measurement = measure(way(grooves(angle=10)), GLASS, theta_i=(44,), paths=100_000, detector=HemisphereGrid(2, 15))
     for theta_o, tilt in ((24, slope), (64, -slope)):
         local = math.cos(theta - tilt)
         expected = local / (2 * math.cos(slope) * math.cos(theta)) * glass(local)
@@ -194,11 +234,12 @@ def orders_add_up_to_the_total():
     assert (ledger.sel(fate="launched") == ledger.drop_sel(fate="launched").sum("fate")).all(), "ledger"
 
 
-def where_the_tile_is_cut_changes_nothing():
+@traced_both_ways
+def where_the_tile_is_cut_changes_nothing(way):
     relief = rough()
     moved = ms.HeightField(np.roll(relief.heights, (34, 58), axis=(0, 1)), relief.spacing)
     data = [
-        measure(r, optics.Mirror(), seed, theta_i=(20, 80), phi_i=(33,), paths=500_000, detector=COARSE).dataset
+        measure(way(r), optics.Mirror(), seed, theta_i=(20, 80), phi_i=(33,), paths=500_000, detector=COARSE).dataset
         for seed, r in enumerate((relief, moved))
     ]
     one, other = (d.sel(order="all").squeeze() for d in data)
@@ -208,19 +249,19 @@ def where_the_tile_is_cut_changes_nothing():
     assert_equal_within_noise(one["brdf"].values[full], other["brdf"].values[full], error[full], 15)
 
 
-def grooves_of_all_slopes_and_azimuths_are_cook_and_torrance():
+@traced_both_ways
+def grooves_of_all_slopes_and_azimuths_are_cook_and_torrance(way):
     m, theta, grid = 0.5, 50.0, HemisphereGrid(theta_step=15, phi_step=30)
     realisations = 32
     total = functools.reduce(
         lambda one, other: one.merge(other),
         (
             measure(
-                ms.VGrooves(m=m).build(seed), GLASS, seed, theta_i=(theta,), azimuth="average", paths=50_000,
-                detector=grid,
+                way(grooves(seed, m=m)), GLASS, seed, theta_i=(theta,), azimuth="average", paths=50_000, detector=grid
             )
             for seed in range(realisations)
         ),
-    )  # fmt: skip
+    )
     data = total.dataset.sel(order="1").squeeze()
     expected = CookTorrance(m=m, material=GLASS).average(direction(theta, 0), grid, GREEN).reshape(grid.shape)
     full = data["hits"].values > 2000
@@ -228,6 +269,36 @@ def grooves_of_all_slopes_and_azimuths_are_cook_and_torrance():
     assert_equal_within_noise(
         data["brdf"].values[full], expected[full], data["standard_error"].values[full], realisations - 1
     )
+
+
+def no_node_is_lower_than_what_it_stands_for():
+    for name in ("33 x 33", "5 x 7", "towers"):
+        test_grid.test_no_node_is_lower_than_what_it_stands_for(RELIEFS[name]())
+
+
+def what_is_certain_to_escape_hits_nothing():
+    for name in ("5 x 7", "gaussian .3", "cliffs", "needles", "walls", "towers", "ramps", "pyramid"):
+        test_grid.test_what_is_certain_to_escape_hits_nothing(RELIEFS[name]())
+
+
+def every_shortcut_is_a_proof():
+    for name in ("gaussian .5", "needles on the seam", "33 x 33", "towers"):
+        for material, setting in test_grid.INSTRUMENTS[1:3]:
+            test_grid.test_every_shortcut_is_a_proof(RELIEFS[name](), material, setting)
+
+
+def first_hits_are_those_of_embree():
+    for name in ("between nodes", "5 x 7", "oblong cells", "walls", "steep"):
+        test_grid.test_first_hits_are_those_of_embree(RELIEFS[name]())
+
+
+def embree_measures_the_same():
+    for name in ("walls", "oblong cells", "33 x 33"):
+        test_grid.test_embree_measures_the_same(name, optics.Mirror())
+
+
+def directions_are_put_into_the_bins_that_their_angles_lie_in():
+    test_grid.test_directions_are_put_into_the_bins_that_their_angles_lie_in(5.0, 7.2, 37.0)
 
 
 LAWS = (
@@ -247,6 +318,12 @@ LAWS = (
     orders_add_up_to_the_total,
     where_the_tile_is_cut_changes_nothing,
     grooves_of_all_slopes_and_azimuths_are_cook_and_torrance,
+    no_node_is_lower_than_what_it_stands_for,
+    what_is_certain_to_escape_hits_nothing,
+    every_shortcut_is_a_proof,
+    first_hits_are_those_of_embree,
+    embree_measures_the_same,
+    directions_are_put_into_the_bins_that_their_angles_lie_in,
 )
 
 # ----------------------------------------------------------------------------------------------------- the damages
@@ -266,17 +343,19 @@ class Damage(NamedTuple):
     def inflict(self, monkeypatch):
         """Damage gonio until the monkeypatch is undone."""
         module_name, *owners, name = self.place.split(".")
-        module = importlib.import_module(f"gonio.{module_name}")
-        owner = functools.reduce(getattr, owners, module)
+        owner = functools.reduce(getattr, owners, importlib.import_module(f"gonio.{module_name}"))
         original = inspect.getattr_static(owner, name)
-        if hasattr(original, "py_func"):
-            for caller in compiled_with(name, vars(module)):
-                monkeypatch.setattr(module, caller, compiled(getattr(module, caller).py_func))
-            monkeypatch.setattr(module, name, compiled(self._damaged(original.py_func)))
-        elif isinstance(original, property):
+        if isinstance(original, property):
             monkeypatch.setattr(owner, name, property(self._damaged(original.fget)))
-        else:
+        elif isinstance(original, classmethod):
+            monkeypatch.setattr(owner, name, classmethod(self._damaged(original.__func__)))
+        elif owners:
             monkeypatch.setattr(owner, name, self._damaged(original))
+        elif hasattr(original, "py_func"):
+            callers = {kernel: compiled(kernel.py_func) for kernel in compiled_with(original)}
+            replace_everywhere(monkeypatch, {**callers, original: compiled(self._damaged(original.py_func))})
+        else:
+            replace_everywhere(monkeypatch, {original: self._damaged(original)})
 
     def _damaged(self, function):
         source = textwrap.dedent(inspect.getsource(function))
@@ -291,21 +370,33 @@ class Damage(NamedTuple):
 compiled = numba.njit(nogil=True, error_model="numpy")
 """As gonio's kernels are, but never to be found in a cache; globals are looked up at the first call."""
 
+MODULES = [importlib.import_module(f"gonio.{found.name}") for found in pkgutil.iter_modules(gonio.__path__)]
 
-def compiled_with(name, namespace):
-    """Names of the kernels that call the kernel `name`, directly or through another."""
-    callers, found = set(), {name}
+
+def compiled_with(kernel):
+    """The kernels that call `kernel`, directly or through another, wherever they are."""
+    kernels = {k for module in MODULES for k in vars(module).values() if hasattr(k, "py_func")}
+    callers, found = set(), {kernel}
     while found:
         found = {
             caller
-            for caller, kernel in namespace.items()
-            if hasattr(kernel, "py_func") and found.intersection(kernel.py_func.__code__.co_names)
-        } - callers
+            for caller in kernels - callers
+            if any(caller.py_func.__globals__.get(name) in found for name in caller.py_func.__code__.co_names)
+        }
         callers |= found
     return callers
 
 
+def replace_everywhere(monkeypatch, replacements):
+    """Put others in the place of functions, in every module that has imported them."""
+    for module in MODULES:
+        for name, value in list(vars(module).items()):
+            if inspect.isroutine(value) or hasattr(value, "py_func"):
+                monkeypatch.setattr(module, name, replacements.get(value, value))
+
+
 DAMAGES = (
+    # What is measured.
     Damage(
         "the cosine of the bin's centre",
         "detectors.HemisphereGrid.projected_solid_angles",
@@ -321,50 +412,143 @@ DAMAGES = (
         cones_are_reciprocal,
     ),
     Damage(
+        "the last order left out of the total",
+        "tally._absorb",
+        "range(orders - 1, -2, -1)",
+        "range(orders - 2, -2, -1)",
+        orders_add_up_to_the_total,
+    ),
+    Damage(
+        "the standard error of one replicate for that of their mean",
+        "measurement._estimates",
+        "pilot * (pilot - 1)",
+        "pilot - 1",
+        error_bars_cover_the_truth,
+    ),
+    # What all paths have in common.
+    Damage(
         "a weight times the local cosine",
-        "transport._move",
-        "largest = max(",
-        "weights[i, w] *= cosine\n                    largest = max(",
+        "paths.weigh",
+        "i, weak = struck[n], 0",
+        "i, weak = struck[n], 0\n        weights[i, 0] *= cosines[n]",
         a_lossless_surface_returns_all_light,
     ),
     Damage(
-        "Fresnel at the macroscopic angle",
-        "transport._move",
-        "fresnel(cosine,",
-        "fresnel(math.cos(lamp.theta),",
-        facets_reflect_with_fresnel_at_their_own_angle,
-    ),
-    Damage(
-        "no periodic wrap: what rises through a side escapes",
-        "transport._pass_on",
-        "if dz > 0 and z + reach * dz >= tile.top:",
-        "if dz > 0:",
-        where_the_tile_is_cut_changes_nothing,
+        "Fresnel in the middle of the table's intervals",
+        "paths._look_up",
+        "u = cosines[n] * intervals - place",
+        "u = 0.5",
+        a_flat_mirror_sends_fresnel_into_one_bin,
     ),
     Damage(
         "wi for wo: azimuth from the mirror's side",
-        "transport.bins_of",
+        "paths.bins_of",
         "phi_i / 360",
         "phi_i / 360 + 0.5",
         a_flat_mirror_sends_fresnel_into_one_bin,
     ),
     Damage(
         "wi for wo: light goes back where it came from",
-        "transport._mirrored",
+        "paths.mirrored",
         "return dx - twice * nx, dy - twice * ny, dz - twice * nz",
         "return -dx, -dy, -dz",
         a_flat_mirror_sends_fresnel_into_one_bin,
     ),
     Damage(
         "azimuth clockwise",
-        "transport._sector",
-        "math.atan2(y, x)",
-        "math.atan2(-y, x)",
+        "paths.collect",
+        "c * x + s * y, c * y - s * x",
+        "c * x - s * y, -c * y - s * x",
         a_flat_mirror_sends_fresnel_into_one_bin,
     ),
     Damage(
+        "azimuth clockwise from the lamp",
+        "paths.collect",
+        "c * y - s * x",
+        "s * x - c * y",
+        directions_are_put_into_the_bins_that_their_angles_lie_in,
+    ),
+    Damage(
+        "the ring where a step of the table begins",
+        "paths.collect",
+        "while sin2 >= edges[ring]:",
+        "while False:",
+        directions_are_put_into_the_bins_that_their_angles_lie_in,
+    ),
+    Damage(
+        "the sector where a step of the table begins",
+        "paths.collect",
+        "while _passed(",
+        "while False and _passed(",
+        directions_are_put_into_the_bins_that_their_angles_lie_in,
+    ),
+    Damage(
+        "light of two hits thrown away",
+        "paths.collect",
+        "arrived += fates[i] == ESCAPED",
+        "arrived += (fates[i] == ESCAPED) and (hits[i] != 2)",
+        a_right_angled_groove_returns_light_after_two_hits,
+    ),
+    Damage(
+        "light of two hits counted among one",
+        "paths.collect",
+        "min(hits[i], caught.shape[0]) - 1",
+        "max(0, min(hits[i], caught.shape[0]) - 2)",
+        half_pipes_share_light_between_one_two_and_three_hits,
+    ),
+    Damage(
+        "the surface's turn not taken back",
+        "paths.collect",
+        "bins.turn + surface_turn(paths[i], turns[members[i]], True)",
+        "bins.turn",
+        turning_a_flat_mirror_changes_nothing,
+    ),
+    Damage(
+        "azimuths of a quarter turn",
+        "paths.surface_turn",
+        "average * (",
+        "average * 0.25 * (",
+        grooves_of_all_slopes_and_azimuths_are_cook_and_torrance,
+    ),
+    Damage(
+        "a source cone without its cosine",
+        "paths.incident",
+        "psi += math.pi",
+        "psi += 0.0",
+        a_source_cone_averages_fresnel_over_its_directions,
+    ),
+    Damage(
+        "a source cone of uniform radius",
+        "paths.incident",
+        "math.sqrt(lamp.beam * uniform(r0))",
+        "math.sqrt(lamp.beam) * uniform(r0)",
+        a_source_cone_averages_fresnel_over_its_directions,
+    ),
+    Damage(
+        "diffuse light without its cosine",
+        "paths.cosine_direction",
+        "math.sqrt(uniform(r0))",
+        "uniform(r0)",
+        a_flat_diffuser_is_rho_over_pi_everywhere,
+    ),
+    # Embree's paths.
+    Damage(
+        "Embree: Fresnel at the macroscopic angle",
+        "transport._move",
+        "min(1.0, -(dx * nx + dy * ny + dz * nz))",
+        "math.cos(lamp.theta)",
+        facets_reflect_with_fresnel_at_their_own_angle,
+    ),
+    Damage(
+        "Embree: no periodic wrap, what rises through a side escapes",
+        "transport._pass_on",
+        "if dz > 0 and z + reach * dz >= tile.top:",
+        "if dz > 0:",
+        where_the_tile_is_cut_changes_nothing,
+    ),
+    Damage(
         "normals of length 1 / nz",
-        "scene.Scene.__init__",
+        "scene.Scene._build",
         "self.mesh.normals().astype(np.float32)",
         "(self.mesh.normals() / self.mesh.normals()[:, 2:]).astype(np.float32)",
         facets_reflect_with_fresnel_at_their_own_angle,
@@ -385,101 +569,285 @@ DAMAGES = (
     ),
     Damage(
         "a restart offset that leaps over concave edges",
-        "scene.Scene.__init__",
+        "scene.Scene._build",
         "OFFSET * largest",
         "1000 * OFFSET * largest",
         steep_grooves_lose_no_light,
     ),
     Damage(
         "no restart offset",
-        "scene.Scene.__init__",
+        "scene.Scene._build",
         "offset = OFFSET * largest",
         "offset = 0.0",
         a_lossless_surface_returns_all_light,
     ),
     Damage(
-        "light of two hits thrown away",
-        "transport._collect",
-        "if fates[i] != _ESCAPED:",
-        "if fates[i] != _ESCAPED or wave.hits[i] == 2:",
-        a_right_angled_groove_returns_light_after_two_hits,
-    ),
-    Damage(
-        "light of two hits counted among one",
-        "transport._collect",
-        "min(wave.hits[i], caught.shape[0]) - 1",
-        "max(0, min(wave.hits[i], caught.shape[0]) - 2)",
-        half_pipes_share_light_between_one_two_and_three_hits,
-    ),
-    Damage(
-        "the last order left out of the total",
-        "tally._absorb",
-        "range(orders - 1, -2, -1)",
-        "range(orders - 2, -2, -1)",
-        orders_add_up_to_the_total,
-    ),
-    Damage(
-        "the surface's turn not taken back",
-        "transport._collect",
-        "bins.turn + _surface_turn(wave.paths[i], turns[wave.members[i]], lamp.average)",
-        "bins.turn",
-        turning_a_flat_mirror_changes_nothing,
-    ),
-    Damage(
-        "azimuths of a quarter turn",
-        "transport._surface_turn",
-        "average * (",
-        "average * 0.25 * (",
-        grooves_of_all_slopes_and_azimuths_are_cook_and_torrance,
-    ),
-    Damage(
-        "a source cone without its cosine",
-        "transport._incident",
-        "psi += math.pi",
-        "psi += 0.0",
-        a_source_cone_averages_fresnel_over_its_directions,
-    ),
-    Damage(
-        "a source cone of uniform radius",
-        "transport._incident",
-        "math.sqrt(lamp.beam * uniform(r0))",
-        "math.sqrt(lamp.beam) * uniform(r0)",
-        a_source_cone_averages_fresnel_over_its_directions,
-    ),
-    Damage(
-        "diffuse light without its cosine",
-        "transport._cosine_direction",
-        "math.sqrt(uniform(r0))",
-        "uniform(r0)",
-        a_flat_diffuser_is_rho_over_pi_everywhere,
-    ),
-    Damage(
-        "starts on half of the tile",
+        "Embree: starts on half of the tile",
         "transport._launch",
         "* tile.half_x",
         "* tile.half_x / 2",
         half_pipes_share_light_between_one_two_and_three_hits,
     ),
     Damage(
-        "the standard error of one replicate for that of their mean",
-        "measurement._estimates",
-        "pilot * (pilot - 1)",
-        "pilot - 1",
-        error_bars_cover_the_truth,
-    ),
-    Damage(
-        "replicates that are one and the same",
+        "Embree: replicates that are one and the same",
         "transport._launch",
         "philox(path, path >> 32, replicate // 4, 0,",
         "philox(path, path >> 32, 0, 0,",
         error_bars_of_mirrors_cover_the_truth,
     ),
     Damage(
-        "replicates of one diffuse randomness",
+        "Embree: replicates of one diffuse randomness",
         "transport._move",
         "first_replicate + wave.members[i]",
         "wave.members[i] // 2",
         error_bars_cover_the_truth,
+    ),
+    Damage(
+        "Embree: what is absorbed is in no ledger",
+        "transport._settle",
+        "UNIT - carried",
+        "0",
+        a_flat_mirror_sends_fresnel_into_one_bin,
+    ),
+    # The tables of a height field.
+    Damage(
+        "certified without a look at the facets near by",
+        "grid._nearby",
+        "_highest(",
+        "0 * _highest(",
+        what_is_certain_to_escape_hits_nothing,
+    ),
+    Damage(
+        "certified without a look at the heights of a ring",
+        "grid._ring",
+        "(top - ",
+        "0 * (top - ",
+        what_is_certain_to_escape_hits_nothing,
+    ),
+    Damage(
+        "certified without a look at the larger rings",
+        "grid._ring",
+        "near, coarser[",
+        "near, 0 * coarser[",
+        what_is_certain_to_escape_hits_nothing,
+    ),
+    Damage(
+        "heights seen from the middle of a ring",
+        "grid._ring",
+        "/ near",
+        "/ (1.5 * near)",
+        what_is_certain_to_escape_hits_nothing,
+    ),
+    Damage(
+        "certified slopes rounded down",
+        "grid._encode",
+        "out[j, i, k] = code",
+        "out[j, i, k] = max(code - 1, 0)",
+        what_is_certain_to_escape_hits_nothing,
+    ),
+    Damage(
+        "a facet's slope at the sides of a sector only",
+        "grid._steepest",
+        "slope / math.cos(math.pi / SECTORS)",
+        "slope",
+        what_is_certain_to_escape_hits_nothing,
+    ),
+    Damage(
+        "slopes of the lower triangles only",
+        "grid._steepest",
+        "max(s0, s1)",
+        "s0",
+        what_is_certain_to_escape_hits_nothing,
+    ),
+    Damage(
+        "certificates that end at the side of the tile",
+        "grid._highest",
+        "range(x0 // nx, x1 // nx + 1)",
+        "range(0, 1)",
+        what_is_certain_to_escape_hits_nothing,
+    ),
+    Damage(
+        "sectors as narrow as their middle",
+        "grid._boxes",
+        "np.arange(2)",
+        "np.full(2, 0.5)",
+        what_is_certain_to_escape_hits_nothing,
+    ),
+    Damage(
+        "highest points rounded down",
+        "grid._cells",
+        "h + margin",
+        "h - margin",
+        no_node_is_lower_than_what_it_stands_for,
+    ),
+    Damage(
+        "nodes without their last column",
+        "grid._merge",
+        "min(2 * i + 1, columns - 1)",
+        "2 * i",
+        no_node_is_lower_than_what_it_stands_for,
+    ),
+    Damage(
+        "bundles as narrow as their middle",
+        "grid._dilated",
+        "reach = 1 if",
+        "reach = 0 if",
+        every_shortcut_is_a_proof,
+    ),
+    Damage(
+        "bundles as narrow as the last node",
+        "grid._dilated",
+        "else 2",
+        "else 1",
+        no_node_is_lower_than_what_it_stands_for,
+    ),
+    # The paths over a height field.
+    Damage(
+        "guesses accepted without a proof",
+        "grid_transport._guess",
+        "& seen &",
+        "&",
+        every_shortcut_is_a_proof,
+    ),
+    Damage(
+        "guesses accepted after one step",
+        "grid_transport._guess",
+        "& (facet == facets[n, 1])",
+        "",
+        every_shortcut_is_a_proof,
+    ),
+    Damage(
+        "guesses beyond the side of the tile",
+        "grid_transport._improve",
+        " if inside else -1",
+        "",
+        every_shortcut_is_a_proof,
+    ),
+    Damage(
+        "escape certain at half the certified slope",
+        "grid_transport._search",
+        "certain[code]",
+        "0.25 * certain[code]",
+        every_shortcut_is_a_proof,
+    ),
+    Damage(
+        "bundles free as far as the end of a node",
+        "grid_transport._free_way",
+        "min(end, (top - z) / dz)",
+        "end",
+        every_shortcut_is_a_proof,
+    ),
+    Damage(
+        "nodes passed above where rays enter them",
+        "grid_transport._walk",
+        "<= tops[np.uint64(offsets[level]",
+        "+ (0.0 if rises else dz * (way - end)) <= tops[np.uint64(offsets[level]",
+        every_shortcut_is_a_proof,
+    ),
+    Damage(
+        "diagonals that all run alike",
+        "grid_transport._walk",
+        "(i + j) & 1",
+        "0",
+        first_hits_are_those_of_embree,
+    ),
+    Damage(
+        "the upper triangle's plane for the lower's",
+        "grid_transport._facet",
+        "p = h11 - h01 if side else h10 - h00",
+        "p = h11 - h01",
+        first_hits_are_those_of_embree,
+    ),
+    Damage(
+        "no look below the diagonal",
+        "grid_transport._meet",
+        "& below_diagonal",
+        "& False",
+        first_hits_are_those_of_embree,
+    ),
+    Damage(
+        "a facet met although the ray passes above its edge",
+        "grid_transport._meet",
+        "(below_edge and ",
+        "(True and ",
+        first_hits_are_those_of_embree,
+    ),
+    Damage(
+        "the other triangle spared for the own",
+        "grid_transport._walk",
+        "= columns[n], rows[n], sides[n]",
+        "= columns[n], rows[n], 1 - sides[n]",
+        embree_measures_the_same,
+    ),
+    Damage(
+        "no periodic wrap: what rises through a side escapes",
+        "grid_transport._walk",
+        "crossings += 1",
+        "fate = ESCAPED if rises else fate",
+        where_the_tile_is_cut_changes_nothing,
+    ),
+    Damage(
+        "the next tile lies a little off",
+        "grid_transport._walk",
+        "x - over_x * nx",
+        "x - over_x * nx * 1.01",
+        first_hits_are_those_of_embree,
+    ),
+    Damage(
+        "what rises has escaped",
+        "grid_transport._walk",
+        "if rises and z + dz * way > top:",
+        "if rises:",
+        embree_measures_the_same,
+    ),
+    Damage(
+        "vertical light hits the other triangle",
+        "grid_transport._drop",
+        "side = _side_at(u, v, odd)",
+        "side = 1 - _side_at(u, v, odd)",
+        embree_measures_the_same,
+    ),
+    Damage(
+        "slopes of square cells",
+        "grid_transport._normals",
+        "q * per_y",
+        "q * per_x",
+        embree_measures_the_same,
+    ),
+    Damage(
+        "Fresnel at the angle from the vertical",
+        "grid_transport._mirror",
+        "-(dx * nx + dy * ny + dz * nz)",
+        "abs(dz)",
+        facets_reflect_with_fresnel_at_their_own_angle,
+    ),
+    Damage(
+        "starts on half of the tile",
+        "grid_transport._launch",
+        "along_x * nx",
+        "along_x * nx / 2",
+        where_the_tile_is_cut_changes_nothing,
+    ),
+    Damage(
+        "replicates that are one and the same",
+        "grid_transport._launch",
+        "philox(path, path >> 32, replicate // 4, 0,",
+        "philox(path, path >> 32, 0, 0,",
+        error_bars_of_mirrors_cover_the_truth,
+    ),
+    Damage(
+        "replicates of one diffuse randomness",
+        "grid_transport._diffuse",
+        "first_replicate + members[n]",
+        "members[n] // 2",
+        error_bars_cover_the_truth,
+    ),
+    Damage(
+        "what is absorbed is in no ledger",
+        "grid_transport._enter_in_ledger",
+        "UNIT - carried",
+        "0",
+        a_flat_mirror_sends_fresnel_into_one_bin,
     ),
 )
 
