@@ -18,7 +18,7 @@ from bench import in_turn, table, timed
 import gonio
 import microsurfaces as ms
 
-ALPHA, THETA, PATHS, REPETITIONS = 0.3, 45.0, 2_000_000, 5
+ALPHA, THETA, PATHS, REPETITIONS = 0.3, 45.0, 2_000_000, 3
 SIZES = (256, 512, 1024, 2048, 4096)
 GOLD = gonio.Conductor("Au")
 TOY = """

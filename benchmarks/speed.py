@@ -28,7 +28,7 @@ import gonio
 import microsurfaces as ms
 
 PATHS = 2_000_000
-REPETITIONS = 5
+REPETITIONS = 3
 ALPHAS = (0.1, 0.3, 0.5, 1.0)
 THETAS = (0.0, 45.0, 75.0)
 WAVELENGTHS = (450.0, 550.0, 650.0)
@@ -102,19 +102,22 @@ def mitsuba(relief: ms.HeightField):  # type: ignore[no-untyped-def]
 
 def apart(ours: gonio.Measurement, theirs) -> str:  # type: ignore[no-untyped-def]
     """The largest score of a wide bin between both lobes, over all orders and wavelengths."""
-    wide = gonio.HemisphereGrid(theta_step=5, phi_step=15)
-    owners = gonio.HemisphereGrid().owners(wide)
-    light, hits = (
-        np.apply_along_axis(lambda x: np.bincount(owners, x, wide.bins), -1, np.moveaxis(values, 0, -1))
-        for values in (theirs.light.sum(axis=0), theirs.hits.sum(axis=0)[:, None])
-    )
-    sums = ours.sums.sel(order="all").isel(theta_i=0, phi_i=0, bin=slice(-1))
-    launched = float(sums["paths"]) * 2.0**32
-    own = np.stack([np.bincount(owners, w, wide.bins) for w in sums["weight"].values.T / launched])
-    own_hits = np.bincount(owners, sums["hits"].values, wide.bins)
-    full = (own_hits > 10_000) & (hits[0] > 10_000)
-    error = np.sqrt(own**2 / own_hits.clip(1) + light**2 / hits.clip(1))
-    return f"{np.abs((own - light) / error)[:, full].max():.1f} in {full.sum()} bins"
+    grid, wide = gonio.HemisphereGrid(), gonio.HemisphereGrid(theta_step=5, phi_step=15)
+    owners = grid.owners(wide)
+    data = ours.dataset.sel(order="all").isel(theta_i=0, phi_i=0)
+    solid_angles = grid.projected_solid_angles()[:, None]
+
+    def pooled(bins: np.ndarray) -> np.ndarray:
+        """Sums over the wide bins, (wide bins, columns)."""
+        return np.stack([np.bincount(owners, column, wide.bins) for column in bins.T], axis=-1)
+
+    light = pooled(data["brdf"].values.reshape(-1, len(WAVELENGTHS)) * solid_angles)
+    hits = pooled(data["hits"].values.reshape(-1, 1))
+    their_light = pooled(theirs.brdf.sum(axis=0) * solid_angles)
+    their_hits = pooled(theirs.hits.sum(axis=0).reshape(-1, 1))
+    full = ((hits > 10_000) & (their_hits > 10_000)).ravel()
+    error = np.sqrt(light**2 / hits.clip(1) + their_light**2 / their_hits.clip(1))[full]
+    return f"{np.abs((light - their_light)[full] / error).max():.1f} in {full.sum()} bins"
 
 
 def recorded(scene: gonio.Scene, job: Callable[[], object]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
