@@ -98,8 +98,9 @@ class Grid(NamedTuple):
 
     def certainty(self, dx: float, dy: float, dz: float) -> float:
         """Share of the blocks from which light in a direction, per cell along x and y, is certain to escape."""
-        blocks = self.codes[..., sector(dx, dy)]
-        return float(np.mean(dz * abs(dz) > self.certain[blocks] * (dx * dx + dy * dy)))
+        # The last code is never certain, not even straight up.
+        enough = np.append(dz * abs(dz) > self.certain[:-1] * (dx * dx + dy * dy), False)
+        return float(np.mean(enough[self.codes[..., sector(dx, dy)]]))
 
 
 @kernel

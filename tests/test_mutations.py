@@ -710,6 +710,13 @@ DAMAGES = (
         every_shortcut_is_a_proof,
     ),
     Damage(
+        "guesses that see the lamp behind them",
+        "grid_transport._guess",
+        "sector(-u, -v)",
+        "sector(u, v)",
+        every_shortcut_is_a_proof,
+    ),
+    Damage(
         "guesses accepted after one step",
         "grid_transport._guess",
         "& (facet == facets[n, 1])",

@@ -280,23 +280,28 @@ def test_gaussian_surfaces_against_smith(m):
 # ------------------------------------------------------------------------------------------------ reproducibility
 
 
-def test_the_same_bytes_for_any_threads_and_waves(monkeypatch):
+@pytest.mark.parametrize("by", ["grid", "Embree"])
+def test_the_same_bytes_for_any_threads_and_waves(by, monkeypatch):
     from gonio import transport
 
-    scene = Scene(ms.Gaussian(alpha=0.9, samples=200, side=120.0).build(1), optics.Lambertian(0.9))
+    relief = ms.Gaussian(alpha=0.9, samples=200, side=120.0).build(1)
+    scene = Scene(relief if by == "grid" else relief.mesh(), optics.Lambertian(0.9))
+    assert (scene.grid is not None) == (by == "grid")
     goniometer = Goniometer(
         theta_i=(10, 70), paths=40_000, azimuth="average", beam_half_angle=2, detector=HemisphereGrid(5, 15)
     )
     first = goniometer.measure(scene, seed=2**40, threads=1)
     assert first.sums.identical(goniometer.measure(scene, seed=2**40, threads=2).sums)
     assert not first.sums.identical(goniometer.measure(scene, seed=2**40 + 1, threads=2).sums)
-    monkeypatch.setattr(transport.trace, "__defaults__", (97,))
-    assert first.sums.identical(goniometer.measure(scene, seed=2**40, threads=3).sums)
+    # Fewer lanes than a group has replicates, and a number that no group divides.
+    for wave in (2, 97):
+        monkeypatch.setattr(transport.trace, "__defaults__", (wave,))
+        assert first.sums.identical(goniometer.measure(scene, seed=2**40, threads=3).sums)
 
 
 def test_random_numbers_are_philox():
     """Known answers of the Random123 distribution for Philox4x32-10."""
-    from gonio.transport import philox
+    from gonio.randomness import philox
 
     pi = (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344, 0xA4093822, 0x299F31D0)
     assert philox(*(0,) * 6) == (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)
@@ -305,15 +310,35 @@ def test_random_numbers_are_philox():
 
 
 def test_paths_start_uniformly_and_one_in_every_cell():
-    from gonio.scene import Tile
-    from gonio.transport import Lamp, _empty_wave, _launch
+    from gonio.paths import start
+    from gonio.randomness import philox
 
     paths = 4**6
-    wave = _empty_wave(paths, 1)
-    tile = Tile(1.0, 2.0, 1.1, 2.1, -1.0, 1.0, 1e-6)
-    _launch(wave, 0, 0, paths, paths, 0, np.array([0.5]), Lamp(0.3, 0.0, 0.0, False, (1, 2)), tile)
-    x, y = (wave.origins[:, 0] + 1) / 2, (wave.origins[:, 1] + 2) / 4
+    x, y = np.array([start(path, paths, philox(path, 0, 0, 0, 1, 2)[0]) for path in range(paths)]).T
     cells = np.floor(x * 64).astype(int) * 64 + np.floor(y * 64).astype(int)
     assert (np.bincount(cells, minlength=paths) == 1).all()
     for inside in (x * 64 % 1, y * 64 % 1):
         assert stats.kstest(inside, "uniform").pvalue > 1e-3
+
+
+def test_height_fields_and_meshes_are_lit_at_the_same_places():
+    from gonio import grid_transport, transport
+    from gonio.grid import Grid
+    from gonio.paths import Lamp
+
+    paths, members, turns = 4**4, 3, np.array([0.1, 0.5, 0.9])
+    relief = ms.HeightField(np.random.default_rng(1).normal(size=(6, 8)), (0.25, 0.5))
+    grid, tile = Grid.of(relief), Scene(relief.mesh(), optics.Mirror()).tile
+    for lamp in (Lamp(0.3, 1.0, 0.0, False, (1, 2)), Lamp(0.3, 1.0, 0.01, True, (1, 2))):
+        wave, flight = transport._empty_wave(paths * members, 1), grid_transport.Flight.of(paths * members, 1)
+        beam = grid_transport.beam_of(lamp, grid, paths * members)
+        transport._launch(wave, 0, 0, paths * members, paths, 4, turns, lamp, tile)
+        grid_transport._launch(flight, 0, paths, paths, 4, turns, lamp, beam, grid)
+        places = np.stack([flight.x * 0.25 - 1, flight.y * 0.5 - 1.5], axis=-1)
+        np.testing.assert_allclose(wave.origins[:, :2], places, atol=1e-6)
+        directions = np.stack([flight.dx, flight.dy, flight.dz], axis=-1)
+        np.testing.assert_allclose(wave.directions, directions, atol=1e-6)
+        np.testing.assert_array_equal(wave.members, flight.members)
+        np.testing.assert_array_equal(wave.paths, flight.paths[: paths * members])
+        assert (flight.z == grid.top).all()
+        assert len(np.unique(flight.x)) > 0.9 * paths * members
