@@ -414,8 +414,8 @@ DAMAGES = (
     Damage(
         "the last order left out of the total",
         "tally._absorb",
-        "range(orders - 1, -2, -1)",
-        "range(orders - 2, -2, -1)",
+        "whole[w] += value",
+        "whole[w] += value * (order < orders - 1)",
         orders_add_up_to_the_total,
     ),
     Damage(
