@@ -27,7 +27,7 @@ from bench import Times, in_turn, table
 import gonio
 import microsurfaces as ms
 
-PATHS = 2_000_000
+PATHS, MANY = 2_000_000, 16_000_000
 REPETITIONS = 3
 ALPHAS = (0.1, 0.3, 0.5, 1.0)
 THETAS = (0.0, 45.0, 75.0)
@@ -52,8 +52,27 @@ def main(repetitions: int = REPETITIONS) -> str:
         f"highest); ratios are medians turn by turn.\n\n{table(['surface', 'light', *programs, *ratios], rows)}\n"
         "Albedos at 450, 550, 650 nm, and the largest difference between gonio's and Mitsuba's lobes in bins of 5 x 15 "
         f"degrees with more than {FULL:,} hits, in combined standard errors of independent paths.\n\n"
-        f"{table(['surface', 'light', 'gonio', 'embreex', 'Mitsuba', 'lobes'], agreement)}\n{radiance()}"
+        f"{table(['surface', 'light', 'gonio', 'embreex', 'Mitsuba', 'lobes'], agreement)}\n{many()}\n{radiance()}"
     )
+
+
+def many(turns: int = 2) -> str:
+    """gonio and Mitsuba over the same tiles with more paths, whose neighbours share more of what the caches hold."""
+    rows = []
+    for name, relief, theta in jobs():
+        if not isinstance(relief, ms.HeightField) or not (peer := mitsuba(relief)):
+            continue
+        scene = gonio.Scene(relief, GOLD)
+        goniometer = gonio.Goniometer(theta_i=(theta,), wavelengths=WAVELENGTHS, paths=MANY)
+        programs = {
+            "gonio": lambda g=goniometer, s=scene: g.measure(s, threads=THREADS),
+            "Mitsuba": lambda p=peer, t=theta: p.measure(t, MANY, 1),
+        }
+        times = in_turn(programs, turns)
+        ratio = times["gonio"].times_faster(times["Mitsuba"])
+        rows.append([name, f"{theta:g}°", *(t.rate(MANY) for t in times.values()), f"**{ratio:.2f}**"])
+        print(" | ".join(map(str, rows[-1])), flush=True)
+    return f"The same with {MANY:,} paths.\n\n{table(['surface', 'light', 'gonio', 'Mitsuba', 'times Mitsuba'], rows)}"
 
 
 def jobs() -> Iterator[tuple[str, ms.HeightField | ms.Mesh, float]]:

@@ -344,14 +344,18 @@ def _free_way(x, y, z, dx, dy, dz, way, level, nx, ny, tops, width):  # type: ig
             return max(way, min(end, (top - z) / dz))
         way = end
         if to_x < to_y:
-            i = edge_x - 1 + right
-            j = min(max(np.int64(y + dy * way), node_j << level), min((node_j + 1) << level, ny) - 1)
+            i, j = edge_x - 1 + right, _within(y + dy * way, node_j, level, ny)
         else:
-            j = edge_y - 1 + up
-            i = min(max(np.int64(x + dx * way), node_i << level), min((node_i + 1) << level, nx) - 1)
+            i, j = _within(x + dx * way, node_i, level, nx), edge_y - 1 + up
         over_x, over_y = _beyond(i, nx), _beyond(j, ny)
         i, x = i - over_x * nx, x - over_x * nx
         j, y = j - over_y * ny, y - over_y * ny
+
+
+@kernel
+def _within(x, node, level, n):  # type: ignore[no-untyped-def]
+    """The cell of a coordinate that lies, but for rounding, in a node; the last node of `n` cells may be narrower."""
+    return min(max(np.int64(x), node << level), min((node + 1) << level, n) - 1)
 
 
 @kernel
@@ -519,11 +523,9 @@ def _walk(flight, count, struck, grid, near):  # type: ignore[no-untyped-def]
                 # Above the node.
                 way, own = end, np.int64(-1)
                 if to_x < to_y:
-                    i = edge_x - 1 + right
-                    j = min(max(np.int64(y + dy * way), node_j << level), min((node_j + 1) << level, ny) - 1)
+                    i, j = edge_x - 1 + right, _within(y + dy * way, node_j, level, ny)
                 else:
-                    j = edge_y - 1 + up
-                    i = min(max(np.int64(x + dx * way), node_i << level), min((node_i + 1) << level, nx) - 1)
+                    i, j = _within(x + dx * way, node_i, level, nx), edge_y - 1 + up
             if rises and z + dz * way > top:
                 fate = ESCAPED
             if level < coarsest and ((i >> (level + 1) != node_i >> 1) | (j >> (level + 1) != node_j >> 1)):

@@ -305,6 +305,8 @@ def collect(count, directions, fates, weights, paths, members, hits, bins, lamp,
     c, s = math.cos(2 * math.pi * bins.turn), math.sin(2 * math.pi * bins.turn)
     arrived = 0
     for i in range(count):
+        if fates[i] != ESCAPED:
+            continue
         x, y, z = np.float64(xs[i]), np.float64(ys[i]), np.float64(zs[i])
         across = x * x + y * y
         sin2 = across / (across + z * z)
@@ -321,7 +323,7 @@ def collect(count, directions, fates, weights, paths, members, hits, bins, lamp,
         place = ring * sectors + (sector if sector < sectors else 0)
         order = min(hits[i], caught.shape[0]) - 1
         arrivals[arrived, 0], arrivals[arrived, 1] = i, (order * caught.shape[1] + place) * turns.size + members[i]
-        arrived += fates[i] == ESCAPED
+        arrived += 1
     records = caught.reshape(-1, width + 1)
     for j in range(arrived):
         row, record = np.uint64(arrivals[j, 0]), np.uint64(arrivals[j, 1])

@@ -50,7 +50,7 @@ class Scene:
     """A relief and its material, ready to be traced.
 
     `relief` is a `HeightField` or a `Mesh`; `material` a material recipe. A height field is traced by its own `grid`
-    (0.1 s per million nodes to build). For any mesh, and so for one with overhangs or walls, Embree's acceleration
+    (0.2 s per million nodes to build). For any mesh, and so for one with overhangs or walls, Embree's acceleration
     structure is built (about 1 s per million triangles); `relief.mesh()` has Embree trace a height field too. A scene
     can be shared by any number of measurements and threads.
     """

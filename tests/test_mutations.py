@@ -485,8 +485,8 @@ DAMAGES = (
     Damage(
         "light of two hits thrown away",
         "paths.collect",
-        "arrived += fates[i] == ESCAPED",
-        "arrived += (fates[i] == ESCAPED) and (hits[i] != 2)",
+        "if fates[i] != ESCAPED:",
+        "if fates[i] != ESCAPED or hits[i] == 2:",
         a_right_angled_groove_returns_light_after_two_hits,
     ),
     Damage(
