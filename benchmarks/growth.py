@@ -18,7 +18,7 @@ from bench import in_turn, table, timed
 import gonio
 import microsurfaces as ms
 
-ALPHA, THETA, PATHS, REPETITIONS = 0.3, 45.0, 2_000_000, 3
+ALPHA, THETA, PATHS, MANY, REPETITIONS = 0.3, 45.0, 2_000_000, 16_000_000, 3
 SIZES = (256, 1024, 4096)
 GOLD = gonio.Conductor("Au")
 TOY = """
@@ -148,18 +148,21 @@ def compare(name: str, instruments: dict[str, tuple[gonio.Goniometer, int]], uni
 
 
 def threads() -> str:
-    """One thread and two, at twice the usual paths."""
-    instrument = goniometer(paths=4 * PATHS)
-    return compare("threads", {str(n): (instrument, n) for n in (1, 2)}, "threads")
+    """One thread and two."""
+    instrument = goniometer(paths=MANY)
+    return f"{MANY:,} paths.\n\n" + compare("threads", {str(n): (instrument, n) for n in (1, 2)}, "threads")
 
 
 def wavelengths() -> str:
     """3 wavelengths first, what the others are compared with."""
     cores = os.cpu_count() or 1
     spectra = {n: tuple(400.0 + 300.0 * k / max(n - 1, 1) for k in range(n)) for n in (3, 1, 31, 81)}
-    return compare(
-        "wavelengths", {str(n): (goniometer(wavelengths=w), cores) for n, w in spectra.items()}, "wavelengths"
-    )
+    tables = [f"{paths:,} paths.\n\n" + compare(
+        "wavelengths",
+        {str(n): (goniometer(wavelengths=w, paths=paths), cores) for n, w in spectra.items()},
+        "wavelengths",
+    ) for paths in (PATHS, MANY)]  # fmt: skip
+    return "\n".join(tables)
 
 
 def incidences() -> str:
