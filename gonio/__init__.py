@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from gonio.detectors import Apertures, HemisphereGrid
     from gonio.experiment import Experiment, InputError
     from gonio.fitting import fit
-    from gonio.formats import export
+    from gonio.formats import export, load
     from gonio.goniometer import Goniometer
-    from gonio.measurement import Measurement, load, save
+    from gonio.measurement import Measurement, save
     from gonio.models import CookTorrance, Lambert, Microfacet
     from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
     from gonio.scene import Scene
@@ -51,7 +51,7 @@ _HOME = {
     "compare": "gonio.compare",
     "export": "gonio.formats",
     "fit": "gonio.fitting",
-    "load": "gonio.measurement",
+    "load": "gonio.formats",
     "save": "gonio.measurement",
 }
 

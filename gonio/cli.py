@@ -735,17 +735,29 @@ def plot(file: Path, /, *, output: Output = None) -> None:
 
 
 @app.command
-def export(file: Path, /, *, to: Path, format: str | None = None) -> None:
-    """Write a measurement in another program's format.
+def export(
+    file: Path,
+    /,
+    *,
+    to: Path,
+    format: str | None = None,
+    isotropic: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+) -> None:
+    """Write a measurement in another program's format, and tell what that cost.
+
+    The file is read back as its usual readers do, and compared with the
+    measurement on the measurement's own bins. gonio list shows the formats.
 
     Parameters
     ----------
     file
-        The measurement, a .nc file.
+        The measurement: a .nc file, or a foreign file that gonio reads.
     to
         The file to write; its suffix decides the format.
     format
-        A suffix that decides instead, such as exr.
+        A format that decides instead, such as exr-rgb.
+    isotropic
+        Declare that the surface looks the same from every azimuth of the light.
     """
     from gonio import formats
     from gonio.experiment import InputError
@@ -753,17 +765,23 @@ def export(file: Path, /, *, to: Path, format: str | None = None) -> None:
     measurement = _load(file)
     _make_writable(to.parent)
     try:
-        print(formats.export(measurement, to, format))
+        with _working(f"writing {to}"):
+            exported = formats.export(measurement.declared_isotropic() if isotropic else measurement, to, format)
+        print(exported.path)
+        with _working(f"reading {to} back"):
+            sentences = (*exported.notes, exported.loss.sentence())
     except ValueError as error:
         raise InputError(str(error)) from None
     except OSError as error:
         raise RunError(f"{to} cannot be written ({_reason(error)}).") from None
+    for sentence in sentences:
+        _say(sentence)
 
 
 def _load(file: Path) -> Measurement:
-    """The measurement in a file."""
+    """The measurement in a file, ours or a foreign one."""
     from gonio.experiment import InputError
-    from gonio.measurement import load
+    from gonio.formats import load
 
     try:
         return load(file)
@@ -776,7 +794,7 @@ def _load(file: Path) -> Measurement:
 
 @app.command(name="list")
 def list_(name: str | None = None, /) -> None:
-    """Show every surface, material, detector and model with its parameters and their defaults.
+    """Show every surface, material, detector and model with its parameters and their defaults, and every file format.
 
     Parameters
     ----------
@@ -784,6 +802,7 @@ def list_(name: str | None = None, /) -> None:
         One of them, shown with its whole description.
     """
     from gonio.experiment import InputError
+    from gonio.formats import FORMATS
     from microsurfaces.recipe import did_you_mean
 
     catalogue = _catalogue()
@@ -794,10 +813,15 @@ def list_(name: str | None = None, /) -> None:
             for cls in classes:
                 _describe(cls, (cls.__doc__ or "").partition("\n")[0])
         _list_materials()
+        _list_formats()
     elif name in known:
         _describe(known[name], _reflowed(inspect.cleandoc(known[name].__doc__ or "")))
+    elif name in FORMATS:
+        _say(name, style="bold")
+        _say(f"{FORMATS[name].title} ({FORMATS[name].suffix})\n\n{_reflowed(FORMATS[name].page)}")
     else:
-        raise InputError(f"{name} is none of {', '.join(known)}{did_you_mean(name, known)}")
+        names = (*known, *FORMATS)
+        raise InputError(f"{name} is none of {', '.join(names)}{did_you_mean(name, names)}")
 
 
 def _catalogue() -> dict[str, list[type]]:
@@ -837,6 +861,20 @@ def _describe(cls: type, text: str) -> None:
         row = (f"  {name}", _default(field), " ".join((field.description or "").split()))
         table.add_row(*map(Text, row))
     console.print(table, "") if table.row_count else console.print()
+
+
+def _list_formats() -> None:
+    """What `gonio export` writes, and gonio reads wherever it reads a measurement."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from gonio.formats import FORMATS
+
+    _say("Formats: gonio export FILE --to NAME.SUFFIX, --format for other than the first of a suffix\n", style="bold")
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for name, format in FORMATS.items():
+        table.add_row(*map(Text, (f"  {name}", format.suffix, format.title)))
+    _console().print(table)
 
 
 def _reflowed(text: str) -> str:

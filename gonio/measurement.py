@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,18 +53,36 @@ class Measurement:
     `dataset` is an `xarray.Dataset` over order, theta_i, phi_i, theta_o, dphi (or `detector` for apertures) and
     wavelength: `brdf` in 1/sr, `standard_error` (all that is uncertain), `standard_error_mc` (its Monte Carlo part),
     `hits`, `albedo`, the energy ledger and their bounds. An incidence that was not measured has `paths` 0 and NaN.
+
+    A measurement that comes from elsewhere (see `tabulated`) has the order "all" only, no hits, paths and ledger, and
+    NaN for errors that are not known.
     """
 
-    sums: xr.Dataset
-    """Exact integer sums per incidence, in units of 2⁻³² path; the last bin is the whole hemisphere."""
+    sums: xr.Dataset | None
+    """Exact integer sums per incidence, in units of 2⁻³² path; the last bin is the whole hemisphere. None if it comes
+    from elsewhere."""
     attributes: dict[str, Any]
     """Provenance: goniometer, detector, material, surface_statistics, facets (JSON), seed, versions, isotropic,
     interrupted."""
+    foreign: xr.Dataset | None = None
+    """The dataset of a measurement that comes from elsewhere."""
 
     @functools.cached_property
     def dataset(self) -> xr.Dataset:
         """Everything measured, with labels, units and provenance."""
-        return _labelled(self.sums, self.detector, self.attributes)
+        if self.foreign is not None:
+            return self.foreign.assign_attrs(self.attributes)
+        return _labelled(self.counted, self.detector, self.attributes)
+
+    @property
+    def counted(self) -> xr.Dataset:
+        """`sums`; a ValueError for a measurement that comes from elsewhere."""
+        if self.sums is None:
+            raise ValueError(
+                "this measurement comes from another program's file, without the sums that gonio counted: it can be "
+                "compared, fitted, drawn and exported, but neither merged nor checked"
+            )
+        return self.sums
 
     @functools.cached_property
     def detector(self) -> Detector:
@@ -74,7 +92,7 @@ class Measurement:
     @property
     def wavelengths(self) -> Floats:
         """Wavelengths in nm (W,)."""
-        return np.asarray(self.sums["wavelength"].values)
+        return np.asarray(self.dataset["wavelength"].values)
 
     @property
     def isotropic(self) -> bool:
@@ -113,11 +131,13 @@ class Measurement:
 
     def incidences(self) -> Iterator[tuple[float, float]]:
         """(theta_i, phi_i) in degrees of every incidence that was measured."""
-        paths = self.sums["paths"]
-        for i, theta in enumerate(paths["theta_i"].values):
-            for j, phi in enumerate(paths["phi_i"].values):
-                if paths.values[i, j]:
-                    yield float(theta), float(phi)
+        for i, j in np.argwhere(self.measured):
+            yield float(self.dataset["theta_i"][i]), float(self.dataset["phi_i"][j])
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Which incidences were measured, (theta_i, phi_i)."""
+        return np.asarray(self.dataset["albedo"].sel(order="all").notnull().any("wavelength").values)
 
     def declared_isotropic(self) -> Measurement:
         """The same measurement, declared to depend on the relative azimuth only."""
@@ -141,22 +161,23 @@ class Measurement:
         for name in ("detector", "goniometer", "material"):
             if self.attributes[name] != other.attributes[name]:
                 raise ValueError(f"measurements with a different {name} cannot be merged: measure both in the same way")
-        both = (self.sums["paths"] > 0) & (other.sums["paths"] > 0)
-        if (both & (self.sums["replicates"] != other.sums["replicates"])).any():
+        ours, theirs = self.counted, other.counted
+        both = (ours["paths"] > 0) & (theirs["paths"] > 0)
+        if (both & (ours["replicates"] != theirs["replicates"])).any():
             raise ValueError("measurements with different numbers of paths per specimen cannot be merged")
-        if int((self.sums["paths"] + other.sums["paths"]).max()) > MAX_PATHS:
+        if int((ours["paths"] + theirs["paths"]).max()) > MAX_PATHS:
             raise ValueError(f"the merged measurement would hold more than {MAX_PATHS} paths per incidence")
         return replace(
             self,
-            sums=_added(self.sums, other.sums),
+            sums=_added(ours, theirs),
             attributes=_merged_attributes(self, other),
         )
 
-    def average(self, wi: ArrayLike, detector: Detector) -> Floats:
+    def average(self, wi: ArrayLike, detector: Detector, hold: bool = False) -> Floats:
         """Cos-weighted averages over the bins of `detector` for light from `wi` (3,), 1/sr, shape (bins, W).
 
         At a measured incidence and with the measuring detector these are the measured values themselves; otherwise
-        they are averages of `eval`. Raises ValueError outside the measured range.
+        they are averages of `eval`. Raises ValueError outside the measured range, unless `hold` (see `eval`).
         """
         theta, phi = (float(a) for a in angles(wi))
         nearest = self._incidence_at(theta, phi)
@@ -164,31 +185,33 @@ class Measurement:
             values = self.dataset["brdf"].sel(order="all").values[nearest]
             return np.array(values.reshape(-1, len(self.wavelengths)))
         wo, weights = detector.quadrature(wi, nodes=4)
-        return np.asarray((weights[..., None] * self.eval(wi, wo)).sum(axis=1))
+        return np.asarray((weights[..., None] * self.eval(wi, wo, hold)).sum(axis=1))
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike) -> Floats:
+    def eval(self, wi: ArrayLike, wo: ArrayLike, hold: bool = False) -> Floats:
         """BRDF in 1/sr for light from `wi` (..., 3) seen from `wo` (..., 3), shape (..., W); order "all".
 
         Between measured incidences the lobe is moved with the half vector: at each neighbouring incidence the value is
         read where that incidence would mirror about the same half vector. Raises ValueError for apertures, outside the
-        measured range of incidences, and for another azimuth of the light unless the data are isotropic.
+        measured range of incidences, and for another azimuth of the light unless the data are isotropic; with `hold`,
+        the nearest measured incidence stands for those outside.
         """
         if not isinstance(self.detector, HemisphereGrid):
             raise ValueError("values between apertures are not measured; use a HemisphereGrid to interpolate")
         wi, wo = np.broadcast_arrays(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
         theta, phi = angles(wi)
         table = self.dataset["brdf"].sel(order="all").values
-        rows, share_t = _bracket(self.sums["theta_i"].values, theta, "theta_i")
+        nodes_t, nodes_p = self.dataset["theta_i"].values, self.dataset["phi_i"].values
+        rows, share_t = _bracket(nodes_t, theta, "theta_i", hold)
         if self.isotropic:
             columns, share_p = (np.zeros(theta.shape, int),) * 2, np.zeros(theta.shape)
         else:
-            columns, share_p = _bracket(self.sums["phi_i"].values, phi, "phi_i")
+            columns, share_p = _bracket_around(nodes_p, phi, hold)
         wh = half_vector(wi, wo)
         value = np.zeros((*theta.shape, len(self.wavelengths)))
         for row, weight_t in zip(rows, (1 - share_t, share_t), strict=True):
             for column, weight_p in zip(columns, (1 - share_p, share_p), strict=True):
-                azimuth = phi if self.isotropic else self.sums["phi_i"].values[column]
-                measured_wi = direction(self.sums["theta_i"].values[row], azimuth)
+                azimuth = phi if self.isotropic else nodes_p[column]
+                measured_wi = direction(nodes_t[row], azimuth)
                 # The light's own change of azimuth turns the half vector with it.
                 moved = reflect(measured_wi, rotate_z(wh, azimuth - phi))
                 share = weight_t * weight_p
@@ -196,17 +219,19 @@ class Measurement:
         return np.where((wo[..., 2] > 0)[..., None], value, 0.0)
 
     def _incidence_at(self, theta: float, phi: float) -> tuple[int, int] | None:
-        rows = np.flatnonzero(np.abs(self.sums["theta_i"].values - theta) < 1e-6)
-        apart = np.abs(self.sums["phi_i"].values - phi) % 360
+        rows = np.flatnonzero(np.abs(self.dataset["theta_i"].values - theta) < 1e-6)
+        apart = np.abs(self.dataset["phi_i"].values - phi) % 360
         columns = np.flatnonzero((np.minimum(apart, 360 - apart) < 1e-6) | (theta < 1e-6))
         return (int(rows[0]), int(columns[0])) if rows.size and columns.size else None
 
 
-def _bracket(nodes: Floats, values: Floats, name: str) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Floats]:
+def _bracket(
+    nodes: Floats, values: Floats, name: str, hold: bool
+) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Floats]:
     """Indices of the nodes below and above `values`, and how far between them, 0 to 1."""
     slack = 1e-6
     outside = (values < nodes[0] - slack) | (values > nodes[-1] + slack)
-    if outside.any():
+    if outside.any() and not hold:
         raise ValueError(
             f"{name} = {values[outside].flat[0]:g} lies outside the measured range {nodes[0]:g} to {nodes[-1]:g} "
             f"degrees: measure it, or declare the data isotropic if only the azimuth differs"
@@ -215,6 +240,21 @@ def _bracket(nodes: Floats, values: Floats, name: str) -> tuple[tuple[NDArray[np
     upper = np.minimum(lower + 1, len(nodes) - 1)
     width = np.where(upper > lower, nodes[upper] - nodes[lower], 1.0)
     return (lower, upper), np.clip((values - nodes[lower]) / width, 0.0, 1.0)
+
+
+def _bracket_around(
+    nodes: Floats, values: Floats, hold: bool
+) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Floats]:
+    """As `_bracket` for azimuths in degrees; nodes that go all around have no gap between the last and the first."""
+    gaps = np.diff(nodes, append=nodes[0] + 360)
+    if len(nodes) < 3 or gaps[-1] > 1.5 * gaps[:-1].max():
+        # The azimuth that lies within or nearest to the known part.
+        centre = (nodes[0] + nodes[-1]) / 2
+        return _bracket(nodes, (values - centre + 180) % 360 - 180 + centre, "phi_i", hold)
+    (lower, upper), share = _bracket(
+        np.append(nodes, nodes[0] + 360), (values - nodes[0]) % 360 + nodes[0], "phi_i", hold
+    )
+    return (lower % len(nodes), upper % len(nodes)), share
 
 
 def _read(
@@ -384,15 +424,59 @@ def _described(dataset: xr.Dataset) -> xr.Dataset:
     return dataset
 
 
+def tabulated(
+    brdf: ArrayLike,
+    detector: HemisphereGrid,
+    theta_i: ArrayLike,
+    phi_i: ArrayLike,
+    wavelengths: ArrayLike,
+    standard_error: ArrayLike | None = None,
+    attributes: Mapping[str, Any] | None = None,
+) -> Measurement:
+    """A measurement that comes from elsewhere: a real instrument, another program, a model.
+
+    `brdf` holds cos-weighted bin averages in 1/sr, (theta_i, phi_i, theta_o, dphi, W), NaN where nothing is known, and
+    `standard_error` theirs if they are known; the bins are those of `detector`, angles are in degrees, `wavelengths` in
+    nm. `attributes` may hold `title`, `origin`, `isotropic` and whatever else is known of it, as text or numbers.
+    """
+    import xarray as xr
+
+    values = np.asarray(brdf, np.float64)
+    errors = np.full(values.shape, np.nan) if standard_error is None else np.asarray(standard_error, np.float64)
+    coords = {"order": ["all"], "theta_i": theta_i, "phi_i": phi_i, "wavelength": wavelengths}
+    coords = {name: np.atleast_1d(nodes) for name, nodes in coords.items()}
+    per_bin, total = ("order", "theta_i", "phi_i", "theta_o", "dphi", "wavelength"), ("order", "theta_i", "phi_i")
+    area = detector.projected_solid_angles().reshape(detector.shape)
+    # A hemisphere that is known in part only has the albedo of what is known.
+    power = np.nansum(values * area[..., None], axis=(2, 3))
+    albedo = np.where(np.isnan(values).all(axis=(2, 3)), np.nan, power)
+    uncertain = np.sqrt(np.sum((np.where(np.isnan(values), 0.0, errors) * area[..., None]) ** 2, axis=(2, 3)))
+    variables: dict[str, Any] = {}
+    for suffix, binned, whole in (("", values, albedo), ("standard_error", errors, uncertain)):
+        variables[suffix or "brdf"] = (per_bin, binned[None])
+        variables["_".join(filter(None, ("albedo", suffix)))] = ((*total, "wavelength"), whole[None])
+    variables["standard_error_mc"] = variables["standard_error"]
+    variables["albedo_standard_error_mc"] = variables["albedo_standard_error"]
+    variables["projected_solid_angle"] = (per_bin[3:5], area)
+    where, bounds = _bins(detector)
+    known = {"origin": "elsewhere", "isotropic": 0, "interrupted": 0, **(attributes or {})}
+    known["detector"] = _DETECTOR.dump_json(detector).decode()
+    return Measurement(None, known, _described(xr.Dataset({**variables, **bounds}, {**coords, **where})))
+
+
 def save(measurement: Measurement, path: str | Path) -> Path:
-    """Write a measurement as netCDF-4: the dataset, and the group `sums` that makes it merge exactly.
+    """Write a measurement as netCDF-4: the dataset, and (if gonio counted it) the group `sums` that merges exactly.
 
     The file appears when it is complete, under a temporary name until then.
     """
     path = Path(path)
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
     content = io.BytesIO()  # in memory first: HDF5 does not survive a full disk
-    for group, dataset, mode in ((None, measurement.dataset, "w"), ("sums", measurement.sums, "a")):
+    groups = [
+        (None, measurement.dataset, "w"),
+        *(() if measurement.sums is None else (("sums", measurement.sums, "a"),)),
+    ]
+    for group, dataset, mode in groups:
         encoding = {name: packed for name, variable in dataset.data_vars.items() if variable.ndim > 3}
         dataset.to_netcdf(content, mode=mode, group=group, engine="h5netcdf", encoding=encoding)  # type: ignore[call-overload]
     with replacing(path) as scratch:
@@ -410,6 +494,9 @@ def load(path: str | Path) -> Measurement:
     try:
         with xr.open_dataset(path, engine="h5netcdf") as dataset:
             attributes = dict(dataset.attrs)
+            _DETECTOR.validate_json(attributes["detector"])
+            if "origin" in attributes:
+                return Measurement(None, attributes, dataset.load())
         with xr.open_dataset(path, group="sums", engine="h5netcdf") as sums:
             return Measurement(sums.load(), attributes)
     except (OSError, KeyError, ValueError) as error:

@@ -323,7 +323,10 @@ def test_plot_draws_into_a_folder(run: Gonio, measured: Path) -> None:
 
 
 def test_export_writes_the_format_of_the_suffix(run: Gonio, measured: Path) -> None:
-    assert run("export", str(measured), "--to", "new/toy.exr")[0] == 0
+    code, out, _ = run("export", str(measured), "--to", "new/toy.exr")
+    assert code == 0
+    assert out.startswith(str(Path("new/toy.exr")))
+    assert "Read back, albedos change by at most" in out
     assert run("export", str(measured), "--to", "toy.data", "--format", "exr")[0] == 0
     assert Path("toy.data").read_bytes()[:4] == Path("new/toy.exr").read_bytes()[:4] == b"\x76\x2f\x31\x01"
 
@@ -420,7 +423,7 @@ def test_what_goes_wrong_is_one_sentence(run: Gonio, tokens: str, code: int, wor
         ("fit NC --model ward --free m", 2, "'m' is no parameter of Ward that can be fitted"),
         ("fit NC --model cook-torrance --free m --free m_x", 2, "cannot be fitted together"),
         ("fit NC --model cook-torrance --theta-i 5", 2, "theta_i = 5: not measured; choose from 0, 30 degrees"),
-        ("export NC --to toy.foo", 2, "the formats are .exr"),
+        ("export NC --to toy.foo", 2, "the formats are exr (.exr)"),
         ("export NC --to toy.toml/x.exr", 1, "toy.toml is a file"),
         ("plot NC -o toy.toml", 1, "is a file"),
         ("compare CUT", 2, "not a measurement that gonio wrote"),

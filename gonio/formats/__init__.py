@@ -1,43 +1,146 @@
-"""Foreign file formats, one a file: `WRITERS` maps a suffix to the function that writes it."""
+"""Foreign files in and out, one format a file: `FORMATS` maps a name to what writes it and what reads it.
+
+Every format is a pair of functions: `write(lobes, path)` fills a file from a BRDF (`Lobes`), `read(path)` makes a BRDF
+of a file, evaluated as the programs that open it do. Reading back what was written tells what the conversion cost.
+"""
 
 from __future__ import annotations
 
+import functools
+import importlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
+from microsurfaces.recipe import did_you_mean
+
 if TYPE_CHECKING:
+    from gonio.formats.lobes import Lobes
+    from gonio.formats.loss import Loss
     from gonio.measurement import Measurement
 
-Writer = Callable[["Measurement", Path], Path]
-"""Writes a measurement to a path and returns it."""
+
+@dataclass(frozen=True)
+class Format:
+    """One foreign format, or one of its variants."""
+
+    title: str
+    """What it is and who opens it."""
+    suffix: str
+    """Of its files, with the dot."""
+    module: str
+    """The module of `gonio.formats` that has `write` and `read`."""
+    options: Mapping[str, object]
+    """Further arguments of its `write`."""
+
+    def write(self, lobes: Lobes, path: Path) -> Sequence[str]:
+        """Fill `path` from `lobes`; sentences about what had to be bent."""
+        notes: Sequence[str] = self._home.write(lobes, path, **self.options)
+        return notes
+
+    def read(self, path: Path) -> Lobes:
+        """The BRDF in such a file; raises ValueError in one sentence for what is none."""
+        lobes: Lobes = self._home.read(path)
+        return lobes
+
+    @property
+    def page(self) -> str:
+        """What the format is and what it keeps, in paragraphs."""
+        return self._home.__doc__ or ""
+
+    @property
+    def _home(self) -> ModuleType:
+        return importlib.import_module(f"gonio.formats.{self.module}")
 
 
-def _write_exr(measurement: Measurement, path: Path) -> Path:
-    from gonio.formats import exr
-
-    return exr.write(measurement, path)
+def _format(title: str, suffix: str, module: str, **options: object) -> Format:
+    return Format(title, suffix, module, options)
 
 
-WRITERS: Mapping[str, Writer] = {".exr": _write_exr}
-"""Every format there is, by suffix."""
+FORMATS: Mapping[str, Format] = {
+    "exr": _format("OpenEXR, spectral, bins with errors", ".exr", "exr"),
+    "exr-rgb": _format("OpenEXR, linear sRGB, bins", ".exr", "exr", colour=True),
+    "exr-disc": _format("OpenEXR, linear sRGB, equal-area disc", ".exr", "exr", colour=True, layout="disc"),
+}
+"""Every format by name; of those with the same suffix the first is the one that the suffix means."""
 
 
-def export(measurement: Measurement, path: str | os.PathLike[str], format: str | None = None) -> Path:
-    """Write `measurement` in a foreign format and return the path.
+@dataclass(frozen=True)
+class Exported:
+    """What an export wrote, and what it cost."""
 
-    The suffix of `path` decides, or `format`, a suffix with or without its dot. Nothing is left behind if the writing
-    fails. Raises ValueError for a format that is not in `WRITERS` or cannot hold this measurement.
+    path: Path
+    notes: Sequence[str]
+    """Sentences about what had to be bent."""
+    source: Lobes
+    """What the file was filled from."""
+    format: Format
 
-    >>> gonio.export(measurement, "gold.exr")  # doctest: +SKIP
+    @functools.cached_property
+    def loss(self) -> Loss:
+        """How far the file, read back, is from the source on the source's own incidences and bins."""
+        from gonio.formats.loss import Loss
+
+        return Loss.between(self.source, self.format.read(self.path))
+
+
+def export(measurement: Measurement | Lobes, path: str | os.PathLike[str], format: str | None = None) -> Exported:
+    """Write `measurement` in a foreign format.
+
+    The suffix of `path` decides, or `format`, a name in `FORMATS`. Nothing is left behind if the writing fails. Raises
+    ValueError for a format that is not in `FORMATS` or cannot hold this measurement, OSError where nothing can be
+    written.
+
+    >>> gonio.export(measurement, "gold.exr").loss.sentence()  # doctest: +SKIP
     """
+    from gonio.formats.lobes import Lobes
+
     path = Path(path)
-    suffix = path.suffix.lower() if format is None else "." + format.lower().removeprefix(".")
-    if suffix not in WRITERS:
-        raise ValueError(f"cannot export to {str(path)!r} as {suffix or 'a file without a suffix'!r}: {_choices()}")
-    return WRITERS[suffix](measurement, path)
+    chosen = FORMATS[_name(path, format)]
+    if isinstance(measurement, Lobes):
+        source, left_out = measurement, ()
+    else:
+        source = Lobes.of(measurement)
+        left_out = _left_out(measurement, source)
+    return Exported(path, (*left_out, *chosen.write(source, path)), source, chosen)
+
+
+def _left_out(measurement: Measurement, source: Lobes) -> tuple[str, ...]:
+    """A sentence about incidences that were asked for and are not exported."""
+    left = measurement.measured.size - source.theta_i.size * source.phi_i.size
+    return (f"{left} incidences are left out: they, or others of the same theta_i, were not measured.",) if left else ()
+
+
+def load(path: str | os.PathLike[str], format: str | None = None) -> Measurement:
+    """Read a measurement: one that `gonio.save` wrote (.nc), or a foreign file of a format in `FORMATS`.
+
+    The suffix decides, or `format`. Foreign files become measurements without sums and ledger, sampled at incidences
+    and bins that suit them. Raises ValueError in one sentence for anything else.
+    """
+    from gonio import measurement
+
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such file")
+    if format is None and path.suffix.lower() not in {f.suffix for f in FORMATS.values()}:
+        return measurement.load(path)
+    return FORMATS[_name(path, format)].read(path).measured()
+
+
+def _name(path: Path, format: str | None) -> str:
+    """The format of this name, or the first of this suffix."""
+    if format is not None:
+        if format not in FORMATS:
+            raise ValueError(f"there is no format {format!r}{did_you_mean(format, FORMATS)}: {_choices()}")
+        return format
+    for name, candidate in FORMATS.items():
+        if candidate.suffix == path.suffix.lower():
+            return name
+    raise ValueError(f"no format has the suffix of {str(path)!r}: {_choices()}; choose one with format=")
 
 
 def _choices() -> str:
-    return f"the formats are {', '.join(sorted(WRITERS))}; choose one by the suffix of the path or by format="
+    return "the formats are " + ", ".join(f"{name} ({f.suffix})" for name, f in FORMATS.items())
