@@ -82,7 +82,7 @@ def figures(alpha: float) -> list[dict[str, float]]:
         # 128 replicates know an error to 6 %, four runs of them to 3 %.
         runs = [gonio.Goniometer(replicates=128, **settings).measure(scene, seed=seed) for seed in range(4)]
         bins = [run.dataset.sel(order="all").squeeze() for run in runs]
-        full = bins[0]["hits"].values > 100
+        full = bins[0]["hits"].values > 20
         results.append({
             "seconds": min(timed(lambda t=timing: t.measure(scene)) for _ in range(5)),
             "albedo": float(np.mean([error(run) ** 2 for run in runs]) ** 0.5),
@@ -100,7 +100,7 @@ def data_set(target: float = 0.02) -> str:
     """An isotropic data set, 19 incidences by 1 degree by 3 wavelengths, to a median error of 2 % a bin."""
     started = time.perf_counter()
     scene = gonio.Scene(ms.Gaussian(alpha=0.3, samples=1024).build(1), GOLD)
-    paths = 64_000_000
+    paths = 80_000_000
     goniometer = gonio.Goniometer(
         theta_i=(*np.arange(0.0, 90.0, 5.0).tolist(), 87.0), wavelengths=(450.0, 550.0, 650.0), paths=paths,
         azimuth="average",

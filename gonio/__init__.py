@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gonio import formats, models, plots
     from gonio.certificate import certify
     from gonio.compare import Verdict, compare
-    from gonio.detectors import Apertures, HemisphereGrid
+    from gonio.detectors import Apertures, HemisphereGrid, Klems
     from gonio.experiment import Experiment, InputError
     from gonio.fitting import fit
     from gonio.formats import export, load
@@ -40,6 +40,7 @@ _HOME = {
     "Experiment": "gonio.experiment",
     "Goniometer": "gonio.goniometer",
     "HemisphereGrid": "gonio.detectors",
+    "Klems": "gonio.detectors",
     "Lambert": "gonio.models",
     "Lambertian": "gonio.optics",
     "Measurement": "gonio.measurement",
@@ -66,6 +67,7 @@ __all__ = [
     "Goniometer",
     "HemisphereGrid",
     "InputError",
+    "Klems",
     "Lambert",
     "Lambertian",
     "Measurement",

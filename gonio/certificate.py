@@ -120,7 +120,7 @@ class Certificate:
 def certify(measurement: Measurement, stored: xr.Dataset | None = None) -> Certificate:
     """Check `measurement`; `stored` are the labelled values that go with it, `measurement.dataset` if left out.
 
-    Raises ValueError if no incidence was measured.
+    Raises ValueError if no incidence was measured, or if the measurement comes from elsewhere.
     """
     sums = _Sums.of(measurement)
     fresh = replace(measurement).dataset
@@ -148,12 +148,17 @@ def certify(measurement: Measurement, stored: xr.Dataset | None = None) -> Certi
 def certify_file(path: str | Path) -> Certificate:
     """Check the measurement in a file, its labelled values against its exact sums as well.
 
-    Raises ValueError in one sentence for a file that holds no measurement.
+    Raises ValueError in one sentence for a file that holds no measurement, or one that comes from elsewhere.
     """
     import xarray as xr
 
     try:
         measurement = load(path)
+        if measurement.sums is None:
+            raise ValueError(
+                f"{path} comes from another program, without the sums that gonio counts: there is nothing that a "
+                "certificate could check"
+            )
         with xr.open_dataset(path, engine="h5netcdf") as stored:
             return certify(measurement, stored.load())
     except (LookupError, TypeError, AttributeError, ValidationError, json.JSONDecodeError) as error:
@@ -188,7 +193,7 @@ class _Sums(NamedTuple):
     @classmethod
     def of(cls, measurement: Measurement) -> _Sums:
         """Those of `measurement`; ValueError if there are none."""
-        sums = measurement.sums
+        sums = measurement.counted
         at = np.nonzero(sums["paths"].values)
         if not at[0].size:
             raise ValueError("The measurement holds no measured incidence to check: run it again to the end.")
@@ -444,7 +449,7 @@ def _pairs(measurement: Measurement) -> Iterator[tuple[Place, Place]]:
     if not isinstance(detector, Apertures) or beam <= 0 or abs(detector.half_angle - beam) > 1e-9:
         return
     known: dict[tuple[float, ...], Place] = {}
-    paths = measurement.sums["paths"]
+    paths = measurement.counted["paths"]
     for i, j in zip(*(index.tolist() for index in np.nonzero(paths.values)), strict=True):
         lit = float(paths["theta_i"][i]), float(paths["phi_i"][j])
         for k, seen in enumerate(detector.directions):
@@ -565,7 +570,7 @@ def _resolution(measurement: Measurement) -> Check:
 
 def _replicates(measurement: Measurement) -> Check:
     """Error bars are themselves known."""
-    count = int(measurement.sums.attrs["pilot"])
+    count = int(measurement.counted.attrs["pilot"])
     found = (
         f"{count} replicates give the error bars and know them to {100 / np.sqrt(2 * (count - 1)):.0f} %, limit "
         f"{ENOUGH_REPLICATES}"

@@ -369,7 +369,7 @@ def _judge(
             "digits. L1: how far the lobes differ, and how far noise alone would make them. Differs: noise does not "
             "explain it; unclear: specimens that move the whole lobe could; more realisations would tell."
         )
-        for sentence in verdicts[0].preamble():
+        for sentence in dict.fromkeys(line for verdict in verdicts for line in verdict.preamble()):
             _say(sentence)
     return verdicts
 
@@ -384,7 +384,7 @@ def surface(
     *,
     overrides: Overrides = (),
     seed: int | None = None,
-    output: Output = None,
+    output: Annotated[Path | None, Parameter(name=["--to", "--output", "-o"])] = None,
     show: Annotated[bool, Parameter(negative="", show_default=False)] = False,
 ) -> None:
     """Build an experiment's surface and print its statistics.
@@ -398,7 +398,7 @@ def surface(
     seed
         Seed in place of the file's.
     output
-        Save the surface: heights as .exr or .npy, triangles as .ply or .stl.
+        Save the surface: heights as .x3p, .exr, .png or .npy, triangles as .ply, .stl or .obj.
     show
         Open a window with the surface.
     """
@@ -455,9 +455,11 @@ def compare(
     """Compare a measurement with closed-form models, bin by bin, and tell noise from difference.
 
     A model is a name, with settings if need be; what is not said is the
-    specimen's: its material, and the roughness measured on its facets.
+    specimen's: its material, and the roughness measured on its facets. A file
+    that comes from elsewhere tells neither, so both must be said.
 
       --model cook-torrance
+      --model "cook-torrance m=0.35 material.name=Au"
       --model "cook-torrance m=0.35 k_d=0.1"
       --model "microfacet distribution.kind=GGX masking.kind=VCavity"
       --model models.toml     with tables [[model]]
@@ -483,7 +485,10 @@ def compare(
     measurement = _load(file)
     chosen = models_for(measurement, models or None)
     if not chosen:
-        raise InputError(f"{file}: no model describes this specimen by itself; name one with --model.")
+        raise InputError(
+            f"{file}: no model describes this specimen by itself; name one with --model, such as "
+            '--model "cook-torrance m=0.3 material.name=Au".'
+        )
     verdicts = _judge(measurement, chosen, all, floor)
     for verdict in verdicts:
         _show(f"{tables.name_of(verdict.model)}, other measures of the lobe", tables.metrics(verdict, all))
@@ -535,9 +540,11 @@ def fit(
     """Adjust models to a measurement: parameters with 95 % intervals, and which model does best.
 
     Intervals include the noise and the misfit of a model that is not the
-    truth. Several models are ranked by Akaike's information criterion.
+    truth. Several models are ranked by Akaike's information criterion. Of a
+    file that comes from elsewhere the material must be said.
 
       --model cook-torrance
+      --model "cook-torrance material.name=Au"
       --model "cook-torrance k_d=0.1 k_s=0.9" --free m --free k_d
 
     Parameters

@@ -49,7 +49,7 @@ def xyz_weights(wavelengths: ArrayLike, illuminant: Illuminant = "D65") -> Float
     weights = np.empty((3, len(nodes)))
     responses = np.stack([table[name] for name in "xyz"]) * light
     weights[:, order] = responses @ hats
-    return weights / responses[1].sum()
+    return np.asarray(weights / responses[1].sum())
 
 
 def rgb_weights(wavelengths: ArrayLike, illuminant: Illuminant = "D65") -> Floats:

@@ -108,15 +108,17 @@ class HemisphereGrid:
         """
         rings, sectors = self.shape
         ring, sector = np.divmod(np.arange(rings * sectors) if bins is None else np.asarray(bins), sectors)
-        x, w = np.polynomial.legendre.leggauss(nodes)
-        edges = self.theta_edges
-        theta = edges[ring, None] + np.diff(edges)[ring, None] * (x + 1) / 2
-        phi = self.dphi[sector, None] + (360 / sectors) * x / 2 + angles(wi)[1]
-        wo = direction(theta[:, :, None], phi[:, None, :])
-        weight = w * np.sin(np.radians(2 * theta))
-        weight = weight[:, :, None] * w / (weight.sum(axis=1)[:, None, None] * w.sum())
-        count = len(ring)
-        return wo.reshape(count, -1, 3), weight.reshape(count, -1)
+        polar = np.stack([self.theta_edges[ring], self.theta_edges[ring + 1]], axis=-1)
+        return patch_quadrature(polar, self.dphi[sector] + angles(wi)[1], np.full(len(ring), 180 / sectors), nodes)
+
+    def owner(self, w: ArrayLike, wi: ArrayLike) -> NDArray[np.intp]:
+        """The bin that each direction `w` (..., 3) above the horizon lies in for light from `wi` (3,), (...)."""
+        rings, sectors = self.shape
+        theta, phi = angles(w)
+        ring = np.clip(np.searchsorted(self.theta_edges, theta, side="right") - 1, 0, rings - 1)
+        sector = np.floor((phi - angles(wi)[1]) / 360 * sectors + 0.5).astype(np.intp) % sectors
+        # The pole is in the first sector.
+        return np.asarray(ring * sectors + np.where(theta > 1e-9, sector, 0))
 
     def owners(self, wider: HemisphereGrid) -> NDArray[np.intp]:
         """The bin of `wider` that each of our bins lies in, (bins,); a ValueError if one lies in several."""
@@ -186,6 +188,100 @@ class Apertures:
         return cone_quadrature(theta, phi, self.half_angle, nodes)
 
 
+@recipe
+class Klems:
+    """The patches of Klems's matrices, as WINDOW and Radiance have them, for the detector and for the light alike.
+
+    With this detector light comes from whole patches, too, one after another and cos-weighted over each, so that what
+    is measured are the entries of the matrix itself. Directions are absolute: they do not turn with the lamp.
+    """
+
+    basis: Literal["full", "half", "quarter"] = "full"
+    """145, 77 or 41 patches."""
+
+    @property
+    def theta_edges(self) -> Floats:
+        """Ring edges in degrees, from 0 to 90, shape (rings + 1,)."""
+        return np.array([0.0, *(upper for upper, _ in _KLEMS[self.basis])])
+
+    @property
+    def sectors(self) -> NDArray[np.int64]:
+        """How many patches each ring has, (rings,)."""
+        return np.array([count for _, count in _KLEMS[self.basis]])
+
+    @property
+    def directions(self) -> tuple[tuple[float, float], ...]:
+        """(theta, phi) of each patch's centre, degrees; ring after ring, counter-clockwise from phi = 0."""
+        edges = self.theta_edges
+        middle = (edges[1:] + edges[:-1]) / 2
+        middle[0] = 0.0
+        return tuple(
+            (float(theta), 360 * k / int(count))
+            for theta, count in zip(middle, self.sectors, strict=True)
+            for k in range(count)
+        )
+
+    @property
+    def shape(self) -> tuple[int]:
+        """(patches,)."""
+        return (self.bins,)
+
+    @property
+    def bins(self) -> int:
+        """How many patches there are."""
+        return int(self.sectors.sum())
+
+    def owner(self, w: ArrayLike, wi: ArrayLike = (0.0, 0.0, 1.0)) -> NDArray[np.intp]:
+        """As `HemisphereGrid.owner`; here `wi` does not matter."""
+        theta, phi = angles(w)
+        ring = np.clip(np.searchsorted(self.theta_edges, theta, side="right") - 1, 0, len(self.sectors) - 1)
+        sectors = self.sectors[ring]
+        sector = np.floor(phi / 360 * sectors + 0.5).astype(np.intp) % sectors
+        return np.asarray(np.cumsum(self.sectors)[ring] - sectors + sector)
+
+    def limits(self, bins: NDArray[np.intp] | None = None) -> tuple[Floats, Floats]:
+        """Lower and upper polar angle (bins, 2), and azimuth of the centre and half the width (bins, 2), degrees."""
+        edges, sectors = self.theta_edges, self.sectors
+        ring = np.repeat(np.arange(len(sectors)), sectors)
+        polar = np.stack([edges[ring], edges[ring + 1]], axis=-1)
+        around = np.stack([np.array(self.directions)[:, 1], 180.0 / sectors[ring]], axis=-1)
+        chosen = slice(None) if bins is None else bins
+        return polar[chosen], around[chosen]
+
+    def projected_solid_angles(self) -> Floats:
+        """Exact ∫ cosθ dω of every patch in sr, shape (bins,); they sum to π."""
+        polar, around = self.limits()
+        return np.asarray(np.diff(np.sin(np.radians(polar)) ** 2)[:, 0] * np.radians(around[:, 1]))
+
+    def quadrature(
+        self, wi: ArrayLike, nodes: int = DEFAULT_NODES, bins: NDArray[np.intp] | None = None
+    ) -> tuple[Vectors, Floats]:
+        """As `HemisphereGrid.quadrature`; here the directions do not depend on `wi`."""
+        polar, around = self.limits(bins)
+        return patch_quadrature(polar, around[:, 0], around[:, 1], nodes)
+
+
+_KLEMS = {
+    "full": ((5, 1), (15, 8), (25, 16), (35, 20), (45, 24), (55, 24), (65, 24), (75, 16), (90, 12)),
+    "half": ((6.5, 1), (19.5, 8), (32.5, 12), (45.5, 16), (58.5, 20), (71.5, 12), (90, 8)),
+    "quarter": ((9, 1), (27, 8), (45, 12), (63, 12), (90, 8)),
+}
+"""Upper polar edge in degrees, and number of patches, of every ring (Klems, ASHRAE Trans. 100(1), 1994; WINDOW 7)."""
+
+
+def patch_quadrature(polar: Floats, phi: Floats, half_width: Floats, nodes: int) -> tuple[Vectors, Floats]:
+    """Gauss-Legendre directions (n, nodes², 3) and cos-weighted weights (n, nodes²), summing to 1, over patches.
+
+    Patches lie between the polar angles `polar` (n, 2), `half_width` (n,) around the azimuths `phi` (n,), degrees.
+    """
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    theta = polar[:, :1] + np.diff(polar) * (x + 1) / 2
+    wo = direction(theta[:, :, None], (phi[:, None] + half_width[:, None] * x)[:, None, :])
+    weight = w * np.sin(np.radians(2 * theta))
+    weight = weight[:, :, None] * w / (weight.sum(axis=1)[:, None, None] * w.sum())
+    return wo.reshape(len(polar), -1, 3), weight.reshape(len(polar), -1)
+
+
 def cone_quadrature(theta: Floats, phi: Floats, half_angle: float, nodes: int) -> tuple[Vectors, Floats]:
     """Directions (n, q, 3) and cos-weighted weights (n, q), summing to 1, over cones about (theta, phi), degrees.
 
@@ -202,5 +298,5 @@ def cone_quadrature(theta: Floats, phi: Floats, half_angle: float, nodes: int) -
     return wo, weight / weight.sum(axis=-1, keepdims=True)
 
 
-Detector = Annotated[HemisphereGrid | Apertures, Field(discriminator="kind")]
+Detector = Annotated[HemisphereGrid | Apertures | Klems, Field(discriminator="kind")]
 """Every detector there is."""

@@ -20,7 +20,7 @@ from gonio.goniometer import Goniometer, Progress
 from gonio.measurement import Measurement
 from gonio.models import Model, matching
 from gonio.models.specimen import Specimen, model_class
-from gonio.optics import Conductor, Dielectric, Material
+from gonio.optics import Conductor, Dielectric, Material, index_table
 from gonio.scene import Scene
 from gonio.tally import MAX_PATHS
 from microsurfaces import HeightField, Mesh, Surface, VGrooves
@@ -71,6 +71,8 @@ class Experiment:
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
         if isinstance(self.material, Conductor | Dielectric):
+            if self.material.name is not None:
+                index_table(self.material.name)  # a page that cannot be looked up is no matter of wavelengths
             try:
                 self.material.refractive_index(self.goniometer.wavelengths)
             except ValueError as error:
@@ -158,7 +160,7 @@ class Experiment:
             if part.interrupted:
                 break
             if self.goniometer.target_error is not None:
-                replicates = merged.sums["replicates"].values.ravel().tolist()
+                replicates = merged.counted["replicates"].values.ravel().tolist()
             whole.next()
         assert merged is not None
         return self._described(merged, merged.interrupted)
@@ -214,11 +216,14 @@ def models_for(measurement: Measurement, names: Iterable[str] | None = None, to_
     """The models that `names` describe, or those that fit, with the measured specimen's own roughness and material.
 
     A name may have settings, "cook-torrance m=0.3 k_d=0.1", or be a TOML file with tables [[model]] that have a `kind`
-    and settings. What is not said is the specimen's; `to_fit` fills in what it does not tell, too. Raises `InputError`
-    with a sentence for each name that is none, or that cannot describe the specimen.
+    and settings. What is not said is the specimen's; `to_fit` fills in what it does not tell, too. A measurement that
+    comes from elsewhere does not tell roughness and material: no model fits by itself. Raises `InputError` with a
+    sentence for each name that is none, or that cannot describe the specimen.
     """
     specimen = Specimen(measurement.surface_statistics, measurement.material, measurement.surface)
     if names is None:
+        if specimen.material is None:
+            return ()
         return matching(specimen.statistics, specimen.material, specimen.surface)
     models: list[Model] = []
     mistakes: list[str] = []

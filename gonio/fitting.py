@@ -14,6 +14,7 @@ Multimodel Inference, 2002, doi:10.1007/b97636 (QAICc, section 2.5).
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from gonio.compare import predicted
+from gonio.compare import order_of, predicted
 from gonio.detectors import Detector, HemisphereGrid
 from gonio.measurement import Measurement
 from gonio.models import Model
@@ -42,6 +43,9 @@ _ENOUGH_BINS = 40.0
 
 _WIDEST = 6.0, 15.0
 """Degrees in theta and phi beyond which bins are not joined."""
+
+_KEPT = 0.9
+"""Share of a lobe's known light that must remain where joined bins, a part of which is unknown, are left out."""
 
 _BACKGROUND = 1e-3
 """Share of the mean BRDF that is added to both sides, so that a model's faintest tails do not decide a fit."""
@@ -70,7 +74,7 @@ class Parameter:
     standard_error: float
     """Noise and misfit together."""
     noise: float
-    """Standard error from the measurement's noise alone."""
+    """Standard error from the measurement's noise alone; NaN if it comes from elsewhere without errors."""
     misfit: float
     """Standard error from the model's not being the truth: how differently parts of the lobes would have it."""
     interval: tuple[float, float]
@@ -95,7 +99,7 @@ class Fit:
     deviance: float
     """In units of what a count carries, summed over all bins."""
     deviance_of_noise: float
-    """What the measurement's standard errors lead one to expect of it."""
+    """What the measurement's standard errors lead one to expect of it; NaN if it has none."""
     parts: Array
     """The deviance of every block of 3 x 3 bins and every incidence, all wavelengths together."""
     bins: int
@@ -108,10 +112,16 @@ class Fit:
     """(theta_i, phi_i) of what was fitted, degrees."""
     wavelengths: tuple[float, ...]
     """nm."""
+    channels: tuple[str, ...]
+    """What the values at these wavelengths are called: "550 nm", "R" ..."""
+    left_out: int
+    """How many bins of the fitted incidences took no part, because nothing is known of them."""
 
     @property
     def dispersion(self) -> float:
-        """Variance about the model over that of the noise: 1 if nothing but noise is left."""
+        """Variance about the model over that of the noise: 1 if nothing but noise is left; NaN without errors."""
+        if math.isnan(self.deviance_of_noise):
+            return math.nan
         return (
             self.deviance / max(self.deviance_of_noise, 1e-300) * self.bins / max(1, self.bins - len(self.parameters))
         )
@@ -122,7 +132,7 @@ class Fit:
 
     def remarks(self) -> list[str]:
         """What there is to say besides the numbers: reflectance, what is left over, and warnings."""
-        return [*self._reflectances(), self._quality(), *self.warnings()]
+        return [*self._reflectances(), self._quality(), *self._reservations(), *self.warnings()]
 
     def warnings(self) -> list[str]:
         """What should keep one from believing the numbers."""
@@ -142,16 +152,37 @@ class Fit:
 
     def _reflectances(self) -> list[str]:
         return [
-            f"F0 = {value:.4f} ± {error:.4f} at {nm:g} nm (reflectance at normal incidence)."
-            for nm, value, error in self.normal_reflectance
+            f"F0 = {value:.4f} ± {error:.4f} at {channel} (reflectance at normal incidence)."
+            for channel, (_, value, error) in zip(self.channels, self.normal_reflectance, strict=False)
         ]
 
     def _quality(self) -> str:
+        if math.isnan(self.dispersion):
+            return f"What is left is {self.l1:.2%} of the light (L1), over {self.bins} bins."
         left = "nothing but noise" if self.dispersion < 1.0 + 4.0 * np.sqrt(2.0 / self.bins) else "more than noise"
         return (
             f"What is left is {left}: {self.l1:.2%} of the light (L1), {self.dispersion:.3g} times the variance of the "
             f"noise, over {self.bins} bins."
         )
+
+    def _reservations(self) -> list[str]:
+        """What a measurement from elsewhere does not tell."""
+        found = []
+        if math.isnan(self.deviance_of_noise):
+            found.append(
+                "The errors of the measurement, or of some of its bins, are not known: intervals speak of misfit only, "
+                "of how differently parts of the lobes would have the parameters."
+            )
+        if self.order != self.model.order:
+            found.append(
+                "The measurement does not keep apart how often light has hit the surface: "
+                f"{type(self.model).__name__}, which speaks of the light of one hit, was fitted to all of it."
+            )
+        if self.left_out:
+            found.append(
+                f"{self.left_out} bins took no part: nothing is known of them, or of what they are joined with."
+            )
+        return found
 
 
 class _Lobe(NamedTuple):
@@ -159,12 +190,14 @@ class _Lobe(NamedTuple):
 
     wi: Vectors
     detector: Detector
+    kept: NDArray[np.intp]
+    """(bins,): which bins of the detector these are, those that are known at all wavelengths."""
     solid: Array
     """(bins, 1) sr"""
     energy: Array
     """(bins, W)"""
     error: Array
-    """(bins, W), standard errors"""
+    """(bins, W), standard errors, NaN if they are not known"""
     unit: Array
     """(W,): variance per energy, what one count would carry."""
     background: Array
@@ -192,16 +225,20 @@ def fit(
     t with the degrees of freedom of both. Realisation noise that moves a whole lobe cannot be seen in one lobe: the
     parameters are those of the measured specimens.
 
+    A measurement that comes from elsewhere keeps no orders apart: `model` is fitted to all of its light. The noise of
+    its wavelengths counts as one too, which is the safe side. If it gives no errors (or not all of them) the intervals
+    speak of misfit only. Bins that hold nothing at one of the wavelengths take no part.
+
     Raises ValueError, in one sentence, for a name that is no parameter or no number of the model, for incidences or
     wavelengths that were not measured, and if nothing was.
     """
     names = tuple(model.free if free is None else free)
     start = _start(model, names)
-    lobes, incidences, chosen = _lobes(measurement, model.order, theta_i, wavelengths)
+    lobes, incidences, chosen = _lobes(measurement, order_of(measurement, model), theta_i, wavelengths)
 
     def prediction(values: Array) -> list[Array]:
         candidate = with_values(model, dict(zip(names, values, strict=True)))
-        return [predicted(candidate, lobe.wi, lobe.detector, chosen).value * lobe.solid for lobe in lobes]
+        return [predicted(candidate, lobe.wi, lobe.detector, chosen).value[lobe.kept] * lobe.solid for lobe in lobes]
 
     limits = np.array([bounds(model, name) for name in names])
     solution = _search(names, lambda values: _roots(lobes, prediction(values)), start, limits)
@@ -226,7 +263,8 @@ class Ranked(NamedTuple):
 def rank(fits: Sequence[Fit]) -> list[Ranked]:
     """Fits of the same data from the best to the worst by QAICc, Akaike's criterion for small samples and rough noise.
 
-    The scale of the noise is that of the measurement or, if that is more, what the best model leaves over, so that a
+    The scale of the noise is that of the measurement or, if that is more or not known, what the best model leaves over,
+    so that a
     large sample does not turn small misfits into certainties; wavelengths of one bin count as one. Neighbouring bins
     may be wrong together, and no criterion knows it: the uncertainty comes from the scatter between blocks of bins (Q.
     H. Vuong, Econometrica 57(2), 1989, doi:10.2307/1912557). Raises ValueError if the fits are not of the same data
@@ -236,7 +274,8 @@ def rank(fits: Sequence[Fit]) -> list[Ranked]:
         raise ValueError("only fits of the same order, incidences and wavelengths can be ranked against each other.")
     closest = min(fits, key=lambda f: f.deviance)
     left = closest.deviance / max(1, closest.bins - len(closest.parameters))
-    scale = max(left, closest.deviance_of_noise / closest.bins, 1e-300) * len(closest.wavelengths)
+    of_noise = np.nan_to_num(closest.deviance_of_noise) / closest.bins
+    scale = max(left, of_noise, 1e-300) * len(closest.wavelengths)
     bins = closest.bins // len(closest.wavelengths)
     scores = {id(f): f.deviance / scale + _penalty(len(f.parameters) + 1, bins) for f in fits}
     best, *others = sorted(fits, key=lambda f: scores[id(f)])
@@ -276,15 +315,8 @@ def _lobes(
     data = measurement.dataset
     thetas = _chosen(data["theta_i"].values, theta_i, "theta_i", "degrees")
     chosen = _chosen(data["wavelength"].values, wavelengths, "wavelengths", "nm")
-    if order not in data["order"].values:
-        raise ValueError(f"the measurement has no order {order!r}, only {', '.join(data['order'].values)}.")
     picked = data.sel(order=order, wavelength=chosen)
-    angles = [
-        (float(theta), float(phi))
-        for theta in thetas
-        for phi in data["phi_i"].values
-        if data["paths"].sel(theta_i=theta, phi_i=phi) > 0
-    ]
+    angles = [at for at in measurement.incidences() if at[0] in thetas]
     if not angles:
         raise ValueError("nothing was measured that could be fitted.")
     raw = []
@@ -293,6 +325,10 @@ def _lobes(
         solid = measurement.detector.projected_solid_angles()[:, None]
         raw.append([here[name].values.reshape(-1, chosen.size) * solid for name in ("brdf", "standard_error")])
     detector, owner = _joined(measurement.detector, [energy for energy, _ in raw])
+    known = [bool(np.isfinite(_summed(energy, owner, detector.bins)).all(axis=1).any()) for energy, _ in raw]
+    if not any(known):
+        raise ValueError("no bin is known at all of these wavelengths: fit them one at a time, with wavelengths.")
+    angles, raw = list(itertools.compress(angles, known)), list(itertools.compress(raw, known))
     lobes = [
         _lobe(direction(*at), detector, owner, energy, error) for at, (energy, error) in zip(angles, raw, strict=True)
     ]
@@ -318,12 +354,20 @@ def _joined(detector: Detector, energies: Sequence[Array]) -> tuple[Detector, ND
     alone = np.arange(detector.bins)
     if not isinstance(detector, HemisphereGrid):
         return detector, alone
+    powers = [power for energy in energies if np.nansum(power := energy.sum(axis=1)) > 0.0]
     for wider in _wider(detector):
         owner = detector.owners(wider)
-        joined = (np.bincount(owner, energy.sum(axis=1), wider.bins) for energy in energies if energy.any())
-        if min((p.sum() ** 2 / (p**2).sum() for p in joined), default=0.0) >= _ENOUGH_BINS:
+        joined = [np.bincount(owner, power, wider.bins).astype(np.float64) for power in powers]
+        kept = all(np.nansum(p) >= _KEPT * np.nansum(power) for p, power in zip(joined, powers, strict=True))
+        if kept and min((_participation(p) for p in joined), default=0.0) >= _ENOUGH_BINS:
             return wider, owner
     return detector, alone
+
+
+def _participation(power: Array) -> float:
+    """How many bins share the light, those that are not known left out."""
+    known = power[np.isfinite(power)]
+    return float(known.sum() ** 2 / (known**2).sum())
 
 
 def _wider(grid: HemisphereGrid) -> list[HemisphereGrid]:
@@ -343,14 +387,15 @@ def _wider(grid: HemisphereGrid) -> list[HemisphereGrid]:
 
 def _lobe(wi: Vectors, detector: Detector, owner: NDArray[np.intp], energy: Array, error: Array) -> _Lobe:
     energy = _summed(energy, owner, detector.bins)
-    variance = _summed(error**2, owner, detector.bins)
-    solid = detector.projected_solid_angles()[:, None]
+    kept = np.flatnonzero(np.isfinite(energy).all(axis=1))
+    energy, variance = energy[kept], _summed(error**2, owner, detector.bins)[kept]
+    solid = detector.projected_solid_angles()[kept, None]
     total = np.maximum(energy.sum(axis=0), 1e-300)
     noise = variance.sum(axis=0) / total
     # Without noise all bins weigh as counts do, in units that leave the deviance a number of order 1.
     unit = np.where(noise > 0.0, noise, total / len(energy))
     background = _BACKGROUND * total * solid / solid.sum()
-    return _Lobe(wi, detector, solid, energy, np.sqrt(variance), unit, background, _blocks(detector))
+    return _Lobe(wi, detector, kept, solid, energy, np.sqrt(variance), unit, background, _blocks(detector)[kept])
 
 
 def _summed(values: Array, owner: NDArray[np.intp], bins: int) -> Array:
@@ -498,7 +543,7 @@ def _fitted(
 ) -> Fit:
     final = prediction(solution.values)
     noise, misfit, blocks = _covariances(lobes, final, solution.jacobian)
-    covariance = noise + misfit
+    covariance = np.nan_to_num(noise) + misfit
     error = np.sqrt(np.diag(covariance))
     fitted = with_values(model, dict(zip(names, solution.values, strict=True)))
     bins = solution.roots.size
@@ -510,7 +555,7 @@ def _fitted(
             float(error[k]),
             float(np.sqrt(noise[k, k])),
             float(np.sqrt(misfit[k, k])),
-            _interval(solution.values[k], noise[k, k], misfit[k, k], blocks - len(names), limits[k]),
+            _interval(solution.values[k], covariance[k, k], misfit[k, k], blocks - len(names), limits[k]),
             _of_facets(statistics, name),
             bool(solution.at_bound[k]),
         )
@@ -521,7 +566,7 @@ def _fitted(
         fitted,
         parameters,
         covariance / np.maximum(np.outer(error, error), 1e-300),
-        model.order,
+        order_of(measurement, model),
         float((solution.roots**2).sum()),
         _deviance_of_noise(lobes, final),
         _parts(lobes, solution.roots),
@@ -530,6 +575,10 @@ def _fitted(
         _normal_reflectance(fitted, names, solution.values, covariance, wavelengths),
         incidences,
         tuple(map(float, wavelengths)),
+        tuple(
+            name for name, nm in zip(measurement.channels, measurement.wavelengths, strict=True) if nm in wavelengths
+        ),
+        sum(lobe.detector.bins - lobe.kept.size for lobe in lobes),
     )
 
 
@@ -557,6 +606,7 @@ def _deviance_of_noise(lobes: Sequence[_Lobe], final: Sequence[Array]) -> float:
 def _covariances(lobes: Sequence[_Lobe], final: Sequence[Array], jacobian: Array) -> tuple[Array, Array, int]:
     """Covariance of the parameters from noise, and from misfit beyond it; and how many blocks hold light.
 
+    Of noise that is not known it is NaN, and all disagreement counts as misfit.
     Near the solution a root changes as -dM / sqrt(unit M), so that the scores dM (E - M) / (unit M) follow from the
     Jacobian of the roots.
     """
@@ -576,7 +626,8 @@ def _covariances(lobes: Sequence[_Lobe], final: Sequence[Array], jacobian: Array
         blocks += int(np.count_nonzero(light > 1e-3 * light.sum()))
         disagreement += together.T @ together
     disagreement *= blocks / max(1, blocks - len(inverse))
-    return inverse @ noise @ inverse, inverse @ _excess(disagreement, noise, jacobian) @ inverse, blocks
+    beyond = _excess(disagreement, np.nan_to_num(noise), jacobian)
+    return inverse @ noise @ inverse, inverse @ beyond @ inverse, blocks
 
 
 def _excess(disagreement: Array, noise: Array, jacobian: Array) -> Array:
@@ -589,11 +640,13 @@ def _excess(disagreement: Array, noise: Array, jacobian: Array) -> Array:
     return np.asarray(root @ (axes * np.maximum(more, 0.0)) @ axes.T @ root.T)
 
 
-def _interval(value: float, noise: float, misfit: float, freedom: int, limits: Array) -> tuple[float, float]:
-    """Confidence interval, with the degrees of freedom that the misfit's share leaves (Satterthwaite)."""
+def _interval(value: float, total: float, misfit: float, freedom: int, limits: Array) -> tuple[float, float]:
+    """Confidence interval from the `total` variance, with the degrees of freedom that the misfit's share leaves.
+
+    (Satterthwaite.)
+    """
     from scipy.special import stdtrit
 
-    total = noise + misfit
     share = misfit / total if total > 0.0 else 0.0
     freedom_of_both = max(2, freedom) / share**2 if share > 1e-3 else 1e6
     reach = float(stdtrit(freedom_of_both, (1.0 + CONFIDENCE) / 2.0) * np.sqrt(total))
@@ -634,9 +687,10 @@ def _normal_reflectance(
 
 def _of_parameter(p: Parameter) -> str:
     digits = 4 if not p.standard_error > 0.0 else max(4, int(np.ceil(-np.log10(p.standard_error))) + 1)
+    noise = "" if math.isnan(p.noise) else f"noise {p.noise:.2g}, "
     sentence = (
         f"{p.name} = {p.value:.{digits}f} ± {p.standard_error:.{digits}f} "
-        f"(noise {p.noise:.2g}, misfit {p.misfit:.2g}), "
+        f"({noise}misfit {p.misfit:.2g}), "
         f"95 % between {p.interval[0]:.{digits}f} and {p.interval[1]:.{digits}f}"
     )
     if p.facets:

@@ -14,13 +14,13 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, model_validator
 
-from gonio.detectors import Detector, HemisphereGrid
+from gonio.detectors import Detector, HemisphereGrid, Klems
 from gonio.measurement import FATES, Measurement, orders
 from gonio.paths import ABSORBED, LOST, TRUNCATED, Catch, Lamp, Matter, matter
 from gonio.scene import Scene
@@ -73,6 +73,10 @@ class Goniometer:
             values = getattr(self, name)
             if any(b <= a for a, b in itertools.pairwise(values)):
                 raise ValueError(f"{name} = {list(values)} must increase from each value to the next")
+        if isinstance(self.detector, Klems) and (self.theta_i, self.phi_i, self.beam_half_angle) != ((0,), (0,), 0):
+            raise ValueError(
+                "with the detector Klems light comes from its patches: leave theta_i, phi_i and beam_half_angle out"
+            )
         for theta in self.theta_i:
             if self.beam_half_angle and theta + self.beam_half_angle > 90:
                 raise ValueError(
@@ -86,6 +90,32 @@ class Goniometer:
                 )
         return self
 
+    def axes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Every theta_i and every phi_i from which light comes, degrees; with `Klems` not in all combinations."""
+        if isinstance(self.detector, Klems):
+            theta, phi = np.array(self.detector.directions).T
+            return np.unique(theta), np.unique(phi)
+        return np.array(self.theta_i, np.float64), np.array(self.phi_i, np.float64)
+
+    def incidences(self) -> list[Incidence]:
+        """What is measured, in this order."""
+        theta_i, phi_i = self.axes()
+        if not isinstance(self.detector, Klems):
+            beam = math.sin(math.radians(self.beam_half_angle)) ** 2
+            return [
+                Incidence(i, j, float(theta), float(phi), beam, (0.0, 0.0, 0.0))
+                for i, theta in enumerate(theta_i)
+                for j, phi in enumerate(phi_i)
+            ]
+        patches = zip(self.detector.directions, *self.detector.limits(), strict=True)
+        return [
+            Incidence(
+                int(np.searchsorted(theta_i, theta)), int(np.searchsorted(phi_i, phi)), theta, phi, 0.0,
+                (*(np.sin(np.radians(polar)) ** 2).tolist(), math.radians(around[1])),
+            )
+            for (theta, phi), polar, around in patches
+        ]  # fmt: skip
+
     def measure(
         self,
         scene: Scene,
@@ -96,32 +126,48 @@ class Goniometer:
     ) -> Measurement:
         """Measure `scene` at every incidence.
 
-        `threads` defaults to the number of cores. `replicates`, one number per incidence (phi_i fastest), overrides
-        what `target_error` would choose: further specimens are to be measured as often as the first was. A
+        `threads` defaults to the number of cores. `replicates`, a number for each theta_i and phi_i (phi_i fastest),
+        overrides what `target_error` would choose: further specimens are to be measured as often as the first was. A
         KeyboardInterrupt ends the measurement early: what is complete is returned, and marked `interrupted`. Raises
         MemoryError, with what it would need, when the sums cannot fit.
         """
         workers = threads or os.cpu_count() or 1
         _refuse_what_cannot_fit(self, workers)
-        incidences = [(theta, phi) for theta in self.theta_i for phi in self.phi_i]
+        incidences = self.incidences()
         job = _Job(self, scene, seed, workers, progress, len(incidences))
         sums = _empty_sums(self)
         interrupted = False
         # The sums of one incidence are entered while the next is measured.
         with ThreadPoolExecutor(1) as clerk:
             entry: Future[None] | None = None
-            for index, (theta, phi) in enumerate(incidences):
+            for incidence in incidences:
+                at = incidence.row, incidence.column
+                index = incidence.row * sums.sizes["phi_i"] + incidence.column
                 try:
-                    tally = job.incidence(theta, phi, None if replicates is None else replicates[index])
+                    tally = job.incidence(incidence, None if replicates is None else replicates[index])
                     if entry:
                         entry.result()
                 except KeyboardInterrupt:
                     interrupted = True
                     break
-                entry = clerk.submit(_enter, tally, sums, divmod(index, len(self.phi_i)))
+                entry = clerk.submit(_enter, tally, sums, at)
             if entry:
                 entry.result()
         return Measurement(sums, _attributes(self, scene, seed, interrupted))
+
+
+class Incidence(NamedTuple):
+    """One direction that light comes from, or one patch of directions."""
+
+    row: int
+    column: int
+    """Where it belongs among the theta_i and phi_i of the measurement."""
+    theta: float
+    phi: float
+    """Its centre, degrees."""
+    beam: float
+    patch: tuple[float, float, float]
+    """As `Lamp` has them."""
 
 
 def _wanted(tally: Tally, target: float) -> int:
@@ -180,12 +226,15 @@ class _Job:
     finished: int = 0
     """Paths of the incidences that are complete."""
 
-    def incidence(self, theta: float, phi: float, replicates: int | None) -> Tally:
+    def incidence(self, incidence: Incidence, replicates: int | None) -> Tally:
         """Measure one incidence: a pilot of replicates, and as many more as the target needs."""
         g = self.goniometer
         wavelengths = np.array(g.wavelengths)
-        beam = math.sin(math.radians(g.beam_half_angle)) ** 2
-        lamp = Lamp(math.radians(theta), math.radians(phi), beam, g.azimuth == "average", _key(self.seed, theta, phi))
+        theta, phi = incidence.theta, incidence.phi
+        lamp = Lamp(
+            math.radians(theta), math.radians(phi), incidence.beam, incidence.patch, g.azimuth == "average",
+            _key(self.seed, theta, phi),
+        )  # fmt: skip
         setting = (lamp, matter(self.scene.material, wavelengths), g.detector, phi)
         shape = (g.orders + 1, g.detector.bins + 1, len(wavelengths))
         tally = Tally.empty(g.replicates, math.ceil(g.paths / g.replicates), shape)
@@ -253,7 +302,8 @@ def _key(seed: int, theta: float, phi: float) -> tuple[int, int]:
 def _empty_sums(goniometer: Goniometer) -> Any:
     import xarray as xr
 
-    incidence = (len(goniometer.theta_i), len(goniometer.phi_i))
+    theta_i, phi_i = goniometer.axes()
+    incidence = (len(theta_i), len(phi_i))
     labels, bins, width = goniometer.orders + 1, goniometer.detector.bins + 1, len(goniometer.wavelengths)
     full = ("theta_i", "phi_i", "order", "bin", "wavelength")
     shapes: dict[str, tuple[tuple[str, ...], tuple[int, ...], type]] = {
@@ -270,8 +320,8 @@ def _empty_sums(goniometer: Goniometer) -> Any:
     sums = xr.Dataset(
         {name: (dims, np.zeros(incidence + shape, dtype)) for name, (dims, shape, dtype) in shapes.items()},
         coords={
-            "theta_i": np.array(goniometer.theta_i, np.float64),
-            "phi_i": np.array(goniometer.phi_i, np.float64),
+            "theta_i": theta_i,
+            "phi_i": phi_i,
             "order": list(orders(goniometer.orders)),
             "fate": list(FATES),
             "wavelength": np.array(goniometer.wavelengths, np.float64),
@@ -311,7 +361,7 @@ def _version(package: str) -> str:
 def _refuse_what_cannot_fit(goniometer: Goniometer, threads: int) -> None:
     """Raise MemoryError if the sums and the labelled result need more than the machine has."""
     entries = (goniometer.orders + 1) * (goniometer.detector.bins + 1) * len(goniometer.wavelengths)
-    incidences = len(goniometer.theta_i) * len(goniometer.phi_i)
+    incidences = math.prod(map(len, goniometer.axes()))
     need = 8 * entries * (incidences * 12 + 6 + 2 * threads) + threads * GROUP_BYTES
     have = _memory()
     if have is not None and need > have:

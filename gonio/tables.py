@@ -24,12 +24,12 @@ _COLOURS = {"passed": "green", "warning": "yellow", "failed": "bold red", "FAILS
 
 
 def albedo(measurement: Measurement) -> Table:
-    """Albedo with its standard error for every incidence and up to three wavelengths."""
+    """Albedo with its standard error (if it is known) for every incidence and up to three wavelengths."""
     dataset = measurement.albedo()
     wavelengths = dataset["wavelength"].values
     count = min(len(wavelengths), 3)
     chosen = [round(i * (len(wavelengths) - 1) / max(count - 1, 1)) for i in range(count)]
-    table = _of_incidences(*(f"{wavelengths[i]:g} nm" for i in chosen))
+    table = _of_incidences(*(measurement.channels[i] for i in chosen))
     for theta, phi in measurement.incidences():
         here = dataset.sel(theta_i=theta, phi_i=phi)
         values, errors = here["albedo"].values, here["standard_error"].values
@@ -39,8 +39,10 @@ def albedo(measurement: Measurement) -> Table:
     return table
 
 
-def energy(measurement: Measurement) -> Table:
-    """Orders of scattering and the ledger, means over the wavelengths."""
+def energy(measurement: Measurement) -> Table | None:
+    """Orders of scattering and the ledger, means over the wavelengths; None where nobody kept them."""
+    if measurement.sums is None:
+        return None
     reflected, ledger = measurement.dataset["albedo"].mean("wavelength"), measurement.ledger().mean("wavelength")
     orders = reflected["order"].values[1:]
     hits = (f"{order[:-1]} or more" if order.endswith("+") else order for order in orders)
@@ -90,34 +92,34 @@ def light(order: str) -> str:
 
 def verdict(found: Verdict, every_wavelength: bool = False) -> Table:
     """Albedo and lobe of a model, each with its verdict: a row an incidence, at the wavelength that differs most."""
-    table = _of_incidences("nm", "albedo", "model", "verdict", "L1", "noise", "verdict")
+    table = _of_incidences(_unit(found), "albedo", "model", "verdict", "L1", "noise", "verdict")
     for row in found.rows() if every_wavelength else found.worst_rows():
-        measured = float(row["albedo_measured"])
+        measured, unknown = float(row["albedo_measured"]), row["lobe"] == "unknown"
         table.add_row(
             _incidence(row["theta_i"], row["phi_i"]),
-            f"{row['wavelength']:g}",
+            _channel(row),
             _concise(measured, float(row["albedo_standard_error"])),
             f"{row['albedo_bias']:+.2%}" if measured else "-",
-            "differs" if row["albedo_differs"] else "noise",
+            "no errors" if unknown else "differs" if row["albedo_differs"] else "noise",
             f"{row['l1']:.1%}",
-            f"{row['l1_noise']:.1%}",
-            str(row["lobe"]),
+            "-" if unknown else f"{row['l1_noise']:.1%}",
+            "no errors" if unknown else str(row["lobe"]),
         )
     return table
 
 
 def metrics(found: Verdict, every_wavelength: bool = False) -> Table:
     """How far the lobe differs by other measures, in brackets what noise alone would give."""
-    table = _of_incidences("nm", "L2 (noise)", "log-RMS (noise)", "chi2", "chi2 MC", "outside")
+    table = _of_incidences(_unit(found), "L2 (noise)", "log-RMS (noise)", "chi2", "chi2 MC", "outside")
     for row in found.rows() if every_wavelength else found.worst_rows():
         table.add_row(
             _incidence(row["theta_i"], row["phi_i"]),
-            f"{row['wavelength']:g}",
-            f"{row['l2']:.1%} ({row['l2_noise']:.1%})",
-            f"{row['log_rms']:.3f} ({row['log_rms_noise']:.3f})",
+            _channel(row),
+            _beside(row["l2"], row["l2_noise"], ".1%"),
+            _beside(row["log_rms"], row["log_rms_noise"], ".3f"),
             _number(row["chi2"]),
-            _number(row["chi2_mc"]),
-            f"{row['share_outside']:.1%}",
+            "-" if found.scope == "elsewhere" else _number(row["chi2_mc"]),
+            "-" if math.isnan(row["share_outside"]) else f"{row['share_outside']:.1%}",
         )
     return table
 
@@ -128,12 +130,12 @@ def worst_bins(found: Verdict) -> Table | None:
     if not rows:
         return None
     places = [name for name in ("theta_o", "dphi", "detector") if name in rows[0]]
-    table = _of_incidences("nm", *places, "measured", "model", "off by", "of L1")
+    table = _of_incidences(_unit(found), *places, "measured", "model", "off by", "of L1")
     for row in rows:
         off = f"{row['model'] / row['measured'] - 1:+.0%} " if row["measured"] else ""
         table.add_row(
             _incidence(row["theta_i"], row["phi_i"]),
-            f"{row['wavelength']:g}",
+            _channel(row),
             *(f"{row[name]:g}" + "°" * (name != "detector") for name in places),
             _concise(row["measured"], row["standard_error"]),
             f"{row['model']:.4g}",
@@ -153,7 +155,7 @@ def ranking(verdicts: Sequence[Verdict]) -> Table:
             name_of(found.model),
             "all" if found.order == "all" else f"{found.order} hit{'s' * (found.order != '1')}",
             f"{max(bias[bias == bias], key=abs, default=math.nan):+.2%}",
-            f"{mean['l1']:.1%} ({mean['l1_noise']:.1%})",
+            _beside(mean["l1"], mean["l1_noise"], ".1%"),
             f"{mean['log_rms']:.3f}",
             _number(mean["chi2"]),
         )
@@ -174,7 +176,7 @@ def parameters(found: Fit) -> Table:
         table.add_row(
             each.name,
             _concise(each.value, each.standard_error),
-            f"{each.noise:.2g}",
+            "-" if math.isnan(each.noise) else f"{each.noise:.2g}",
             f"{each.misfit:.2g}",
             "at its limit" if each.at_bound else " to ".join(f"{end:.{digits}f}" for end in each.interval),
             facets,
@@ -258,8 +260,27 @@ def _incidence(theta: float, phi: float) -> str:
     return f"{theta:g}°, {phi:g}°"
 
 
+def _unit(found: Verdict) -> str:
+    """Heading of the column that says which wavelength, or which channel of a colour."""
+    return "nm" if found.channels[0].endswith(" nm") else "channel"
+
+
+def _channel(row: Mapping[str, Any]) -> str:
+    """A wavelength without its unit, or a channel of a colour."""
+    return str(row["channel"]).removesuffix(" nm")
+
+
+def _beside(value: float, noise: float, form: str) -> str:
+    """A value, with that of noise in brackets if it is known."""
+    if math.isnan(value):
+        return "-"
+    return f"{value:{form}}" if math.isnan(noise) else f"{value:{form}} ({noise:{form}})"
+
+
 def _with_error(value: float, error: float) -> str:
-    """A value with as many digits as its standard error allows."""
+    """A value with as many digits as its standard error allows, four where none is known."""
+    if math.isnan(error):
+        return f"{value:.4f}"
     if not error >= 5e-7:
         return f"{value:.6f} ± {error:.0g}"
     decimals = min(max(1 - math.floor(math.log10(error)), 0), 6)
@@ -267,7 +288,12 @@ def _with_error(value: float, error: float) -> str:
 
 
 def _concise(value: float, error: float) -> str:
-    """A value with the standard error of its last two digits in brackets, as metrologists write it."""
+    """A value with the standard error of its last two digits in brackets, as metrologists write it.
+
+    Where no error is known it has four digits.
+    """
+    if math.isnan(error):
+        return f"{value:.4f}"
     if not error >= 5e-8:
         return f"{value:.6f}"
     decimals = max(1 - math.floor(math.log10(error)), 0)

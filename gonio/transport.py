@@ -165,7 +165,7 @@ def _launch(wave, active, first, count, paths, first_replicate, turns, lamp, til
     """
     origins, directions, weights = wave.origins, wave.directions, wave.weights
     path, member = divmod(first, turns.size)
-    steady = lamp.beam == 0 and not lamp.average
+    steady = lamp.beam == 0 and lamp.patch[1] == 0 and not lamp.average
     dx, dy, dz = incident(path, 0, 0.0, lamp)
     for i in range(active, active + count):
         replicate = first_replicate + member

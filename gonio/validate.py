@@ -292,7 +292,7 @@ def _measured(scenes: Callable[[int], Iterable[Scene]], goniometer: Goniometer, 
 
     def measure(block: int) -> tuple[Array, int]:
         each = [
-            goniometer.measure(scene, seed=1000 * block + place, threads=1).sums
+            goniometer.measure(scene, seed=1000 * block + place, threads=1).counted
             for place, scene in enumerate(scenes(block))
         ]
         paths = len(each) * int(each[0]["paths"].values[0, 0])

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from gonio.detectors import Apertures, HemisphereGrid
+from gonio.measurement import tabulated
 from gonio.models import Beckmann, Microfacet, SmithCorrelated
 from gonio.optics import Mirror
 from gonio.sphere import direction
@@ -24,6 +25,22 @@ class Synthetic:
     detector: HemisphereGrid | Apertures
     attributes: dict[str, str]
     surface_statistics: dict[str, float | None] = field(default_factory=dict)
+
+    @property
+    def wavelengths(self):
+        return self.dataset["wavelength"].values
+
+    @property
+    def channels(self):
+        return tuple(f"{nm:g} nm" for nm in self.wavelengths)
+
+    @property
+    def measured(self):
+        return self.dataset["albedo"].isel(order=0).notnull().any("wavelength").values
+
+    def incidences(self):
+        for i, j in np.argwhere(self.measured):
+            yield float(self.dataset["theta_i"][i]), float(self.dataset["phi_i"][j])
 
 
 def synthetic(
@@ -122,3 +139,29 @@ def poisson(seed, photons, truth=TRUTH, theta_i=(30.0,), wavelengths=(550.0,), d
         hits=(brdf.dims[:-1], counts.sum(axis=0).reshape(brdf.shape[:-1])),
     )
     return Synthetic(data, detector, base.attributes)
+
+
+def foreign(
+    truth=TRUTH,
+    noise=None,
+    seed=0,
+    detector=GRID,
+    theta_i=(30.0,),
+    phi_i=(0.0,),
+    wavelengths=(550.0,),
+    unknown=None,
+    attributes=None,
+):
+    """A measurement of `truth` that comes from elsewhere, exact and without errors, or with noise and its errors.
+
+    `noise` is relative. Values are not known where `unknown` is true; it broadcasts with theta_i, phi_i, theta_o, dphi,
+    W.
+    """
+    wi = [direction(theta, phi) for theta in theta_i for phi in phi_i]
+    exact = np.stack([truth.average(each, detector, wavelengths) for each in wi])
+    exact = exact.reshape(len(theta_i), len(phi_i), *detector.shape, len(wavelengths))
+    error = None if noise is None else noise * exact
+    brdf = exact if noise is None else exact + error * np.random.default_rng(seed).standard_normal(exact.shape)
+    if unknown is not None:
+        brdf = np.where(unknown, np.nan, brdf)
+    return tabulated(brdf, detector, theta_i, phi_i, wavelengths, error, attributes)

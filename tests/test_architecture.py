@@ -24,6 +24,7 @@ LEVELS = [
     {"gonio.transport"},
     {"gonio.grid_transport"},
     {"gonio.scene", "gonio.paths", "gonio.models", "gonio.measurement"},
+    {"gonio.interpolation"},
     {"gonio.detectors", "gonio.colour"},
     {"gonio.grid", "gonio.optics", "gonio.sphere", "gonio.tally"},
     {"gonio.randomness"},

@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 from scipy import stats
 from statistical import LEVEL
+from synthetic import foreign
 from test_mutations import DAMAGES
 
 import gonio
@@ -362,3 +363,11 @@ def test_a_sound_reader_sees_what_a_damaged_one_wrote(name, monkeypatch, tmp_pat
         damage(name).inflict(damaged)
         path = gonio.save(SOUND["rough"].run(threads=1), tmp_path / "rough.nc")
     assert changes(before, certify_file(path)) == {"values": "failed"}
+
+
+def test_a_measurement_from_elsewhere_has_no_certificate(tmp_path):
+    path = gonio.save(foreign(), tmp_path / "table.nc")
+    with pytest.raises(ValueError, match=r"table\.nc comes from another program, without the sums"):
+        certify_file(path)
+    with pytest.raises(ValueError, match="neither merged nor checked"):
+        certify(foreign())

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from synthetic import foreign
 
 import gonio
 import microsurfaces as ms
@@ -74,6 +75,17 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("measured")
     (folder / "toy.toml").write_text(TOY)
     return gonio.save(Experiment.read(folder / "toy.toml").run(), folder / "toy.nc")
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two measurements that come from elsewhere: colours without errors, a spectrum with them."""
+    folder = tmp_path_factory.mktemp("tables")
+    gold = gonio.models.CookTorrance(m=0.3, material=gonio.Conductor("Au"))
+    colours = {"basis": "RGB", "title": "colours"}
+    gonio.save(foreign(gold, wavelengths=(611.4, 549.1, 464.2), attributes=colours), folder / "colours.nc")
+    gonio.save(foreign(gold, noise=0.03, wavelengths=(450.0, 650.0)), folder / "spectrum.nc")
+    return folder
 
 
 def files() -> set[str]:
@@ -147,9 +159,10 @@ def test_an_aperture_measurement_says_which_pictures_it_has_none_of(run: Gonio) 
     assert "out/toy/lobes.png" not in files()
 
 
-@pytest.mark.parametrize("name", ["toy.npy", "toy.exr", "new/toy.ply", "toy.stl"])
-def test_surface_prints_statistics_and_saves(run: Gonio, name: str) -> None:
-    code, out, _ = run("surface", "toy.toml", "-o", name)
+@pytest.mark.parametrize("name", ["toy.npy", "toy.exr", "toy.png", "toy.x3p", "new/toy.ply", "toy.stl", "toy.obj"])
+@pytest.mark.parametrize("option", ["--to", "-o"])
+def test_surface_prints_statistics_and_saves(run: Gonio, option: str, name: str) -> None:
+    code, out, _ = run("surface", "toy.toml", option, name)
     assert code == 0
     statistics = Experiment.read("toy.toml").relief().statistics()
     assert f"{statistics.beckmann_alpha:.5g}" in out
@@ -236,6 +249,62 @@ def test_fit_frees_what_is_named(run: Gonio, measured: Path) -> None:
     assert code == 0
     assert "Correlations" in out
     assert re.search(r"^ k_s ", out, flags=re.M)
+
+
+GOLD = "cook-torrance m=0.3 material.name=Au"
+
+
+def test_a_table_from_elsewhere_is_compared(run: Gonio, tables: Path) -> None:
+    code, out, err = run("compare", str(tables / "colours.nc"), "--model", GOLD, "-o", "verdicts")
+    assert (code, err) == (0, "")
+    assert all(len(line) <= 80 for line in out.splitlines())
+    assert re.search(r"0\.0% +- +no errors", out)
+    assert " 611.4" not in out
+    words = " ".join(out.split())
+    for sentence in ("its file gives no errors", "was compared with all of it", "without errors nobody can say"):
+        assert sentence in words
+    assert files() == {"toy.toml", "verdicts/CookTorrance.nc", "verdicts/CookTorrance.png"}
+    two = ("--model", GOLD, "--model", "ward alpha=0.3 specular=0.8 reflectance=0.1")
+    code, out, err = run("compare", str(tables / "spectrum.nc"), *two)
+    assert (code, err) == (0, "")
+    words = " ".join(out.split())
+    assert "CookTorrance, m 0.3: the disagreement is below the noise that its file tells" in words
+    assert "reflectance 0.1: noise does not explain the difference" in words
+    assert "nan" not in out
+
+
+def test_a_table_from_elsewhere_is_fitted(run: Gonio, tables: Path) -> None:
+    for name, told in (("colours", False), ("spectrum", True)):
+        code, out, err = run("fit", str(tables / f"{name}.nc"), "--model", "cook-torrance material.name=Au")
+        assert (code, err) == (0, "")
+        (value,) = re.findall(r"^ m +([\d.]+)", out, flags=re.M)
+        assert float(value) == pytest.approx(0.3, abs=2e-3 if told else 1e-5)
+        assert ("intervals speak of misfit only" in " ".join(out.split())) != told
+        assert "nan" not in out
+
+
+def test_a_table_from_elsewhere_is_drawn(run: Gonio, tables: Path) -> None:
+    code, out, err = run("plot", str(tables / "colours.nc"), "-o", "pictures")
+    assert (code, err) == (0, "")
+    assert files() == {"toy.toml", *(f"pictures/{name}.png" for name in ("lobes", "slices", "hemisphere"))}
+    assert files() == {"toy.toml", *out.split()}
+
+
+@pytest.mark.parametrize(
+    ("tokens", "words"),
+    [
+        ("check NC", "comes from another program, without the sums that gonio counts"),
+        ("compare NC", 'name one with --model, such as --model "cook-torrance m=0.3 material.name=Au".'),
+        ("compare NC --model cook-torrance", "does not tell m and material.name of its specimen: give them, such as"),
+        ("compare NC --model lambert", "does not tell reflectance of its specimen: give it"),
+        ("fit NC --model cook-torrance", "does not tell material.name of its specimen: give it"),
+    ],
+)
+def test_what_a_table_does_not_tell_is_one_sentence(run: Gonio, tables: Path, tokens: str, words: str) -> None:
+    code, out, err = run(*tokens.replace("NC", str(tables / "spectrum.nc")).split())
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
 
 
 def test_check_recomputes_the_certificate(run: Gonio, measured: Path) -> None:
@@ -388,7 +457,7 @@ def test_public_names_are_all_there() -> None:
         ("run toy.toml --set material.kind=Gold", 2, "choose Mirror, Conductor, Dielectric or Lambertian."),
         ("run toy.toml -o toy.toml", 1, "toy.toml is a file: give another folder with -o."),
         ("run toy.toml -o toy.toml/sub", 1, "toy.toml/sub cannot be written"),
-        ("surface toy.toml -o toy.png", 2, "expected one of .npy, .exr, .ply, .stl"),
+        ("surface toy.toml --to toy.bmp", 2, "expected one of .npy, .png, .exr, .x3p, .ply, .stl, .obj."),
         ("surface toy.toml -o toy.toml/x.npy", 1, "toy.toml is a file"),
         ("compare missing.nc", 2, "missing.nc: there is no such file"),
         ("compare toy.toml", 2, "not a measurement that gonio wrote"),

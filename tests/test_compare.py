@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import xarray as xr
-from synthetic import GRID, TRUTH, poisson, synthetic
+from synthetic import GRID, TRUTH, foreign, poisson, synthetic
 
 from gonio.compare import ENOUGH_HITS, _pools, compare
 from gonio.detectors import Apertures, HemisphereGrid
-from gonio.models import CookTorrance, Lambert
+from gonio.formats.lobes import Lobes
+from gonio.models import CookTorrance, Lambert, Ward
 from gonio.optics import Conductor, Mirror
 from gonio.sphere import direction
 
@@ -302,3 +303,151 @@ def test_a_verdict_is_a_file(tmp_path):
     with xr.open_dataset(path, engine="h5netcdf", group="lobes") as lobes:
         xr.testing.assert_equal(lobes["significance"], verdict.lobes["significance"])
         assert lobes["measured"].attrs["units"] == "sr-1"
+
+
+# --- Measurements from elsewhere --------------------------------------------------------------------------------------
+
+OF_NOISE = ("z", "p_value", "l1_noise", "l2_noise", "log_rms_noise", "chi2", "share_outside", "share_noise_expected")
+WRONG = CookTorrance(m=0.4, material=Mirror())
+
+
+def test_without_errors_differences_are_told_but_nothing_of_noise():
+    """A table of a model's own averages is that model; against another it differs as it does without noise."""
+    exact, wrong = (compare(foreign(theta_i=(0.0, 60.0)), model) for model in (TRUTH, WRONG))
+    for metric in ("albedo_bias", "l1", "l2", "log_rms"):
+        np.testing.assert_allclose(exact.table[metric], 0.0, atol=1e-12)
+        there = compare(synthetic(noise=0.0, theta_i=(0.0, 60.0)), WRONG).table[metric]
+        np.testing.assert_allclose(wrong.table[metric], there, rtol=1e-9)
+    for verdict in (exact, wrong):
+        assert all(verdict.table[name].isnull().all() for name in OF_NOISE)
+        assert (verdict.table["lobe"] == "unknown").all()
+        assert not verdict.table["albedo_differs"].any()
+        assert verdict.lobes["significance"].isnull().all()
+        assert not verdict.worst_bins()
+        assert "its file gives no errors: differences are told, but not what noise explains" in verdict.sentences()[0]
+        words = " ".join([*verdict.sentences(), verdict.conclusion()])
+        assert "nan" not in words
+    row = wrong.worst_rows()[0]
+    assert wrong.conclusion().startswith("without errors nobody can say what noise explains")
+    assert f"its albedo is off by up to {row['albedo_bias']:+.2%} (theta_i 0, 550 nm)" in wrong.conclusion()
+    assert "the lobe differs by" in wrong.sentences()[-1]
+
+
+def test_errors_of_a_file_are_calibrated():
+    """In 200 repeats z is normal, 5 % of bins are outside, chi2 is 1 and L1 what noise adds up to; nothing is found."""
+    from scipy.stats import kstest
+
+    tables = [compare(foreign(noise=0.02, seed=seed), TRUTH).table for seed in range(200)]
+    column = {name: np.array([table[name].item() for table in tables]) for name in tables[0]}
+    assert kstest(column["z"], "norm").pvalue > 0.01
+    for name, expected in {"share_outside": 0.05, "chi2": 1.0}.items():
+        spread = column[name].std() / np.sqrt(200)
+        assert column[name].mean() == pytest.approx(expected, abs=4 * spread)
+    for metric in ("l1", "l2", "log_rms"):
+        ratio = column[metric] / column[f"{metric}_noise"]
+        assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(200) + 0.005)
+    assert 1 <= column["albedo_differs"].sum() <= 20  # 10 expected
+    assert (column["lobe"] == "noise").mean() > 0.98
+    assert (column["bins"] == GRID.bins).all()
+    assert np.isinf(column["degrees_of_freedom"]).all()
+
+
+def test_with_errors_noise_is_called_noise_and_differences_differences():
+    measurement = foreign(noise=0.01, seed=1)
+    right, wrong = compare(measurement, TRUTH), compare(measurement, WRONG)
+    assert right.scope == "elsewhere"
+    assert right.sentences()[0].startswith("The measurement comes from elsewhere: its errors are those in its file")
+    assert right.conclusion().startswith("the disagreement is below the noise that its file tells, which is up to ")
+    albedo, lobe = right.sentences()[-2:]
+    assert "degrees of freedom" not in albedo
+    assert f"z = {right.table['z'].item():.3g}, p = " in albedo
+    assert albedo.endswith(": within the errors of the file.")
+    assert lobe.endswith(": within the errors of the file.")
+    assert f"of {GRID.bins} bins are outside" in lobe
+    assert wrong.table["albedo_differs"].item()
+    assert wrong.table["lobe"].item() == "differs"
+    assert wrong.conclusion().startswith("noise does not explain the difference at 1 of 1 incidences")
+    assert wrong.worst_bins()[0]["channel"] == "550 nm"
+    assert not any("Monte Carlo" in sentence or "specimen" in sentence for sentence in right.sentences())
+
+
+def test_a_model_of_one_hit_is_held_against_all_light_and_says_so():
+    verdict = compare(foreign(), TRUTH)
+    assert verdict.order == "all"
+    assert "Microfacet, which speaks of the light of one hit, was compared with all of it" in verdict.preamble()[1]
+    of_all = compare(foreign(truth=Ward(alpha=0.3)), Ward(alpha=0.3))
+    assert len(of_all.preamble()) == 1
+    with pytest.raises(ValueError, match="the measurement has no order '1', only 2"):
+        compare(synthetic(order="2"), TRUTH)
+
+
+def test_bins_that_are_not_known_take_no_part():
+    """A hole at one wavelength: the others do not change, and what is left is that model, or another."""
+    hole = np.zeros((1, 1, *GRID.shape, 2), bool)
+    hole[..., 10:, 5:9, 1] = True
+    options = {"noise": 0.02, "seed": 3, "wavelengths": (450.0, 650.0)}
+    whole, part = (compare(foreign(unknown=unknown, **options), TRUTH).table.squeeze() for unknown in (None, hole))
+    for name in whole:
+        assert part[name][0].item() == (
+            whole[name][0].item() if name == "lobe" else pytest.approx(whole[name][0].item())
+        )
+    assert part["bins"].values.tolist() == [GRID.bins, GRID.bins - hole.sum()]
+    assert part["lobe"][1] == "noise"
+    assert abs(part["z"][1]) < 4
+    solid = np.where(hole[0, 0, ..., 1].ravel(), 0.0, GRID.projected_solid_angles())
+    exact = TRUTH.average(direction(30.0), GRID)[:, 0] @ solid
+    assert part["albedo_model"][1].item() == pytest.approx(exact, rel=1e-12)
+    verdict = compare(foreign(unknown=hole, wavelengths=(450.0, 650.0)), WRONG)
+    bias = verdict.table["albedo_bias"].values.ravel()
+    assert bias[1] != pytest.approx(bias[0])
+    assert f"The file knows nothing of 0 to {hole.sum()} of the {GRID.bins} bins" in verdict.preamble()[-1]
+    assert np.isnan(verdict.lobes["measured"].values[hole]).all()
+
+
+def test_what_is_not_known_at_all_has_no_row():
+    nothing = np.zeros((2, 1, 1, 1, 2), bool)
+    nothing[1, ..., 0] = True
+    verdict = compare(foreign(theta_i=(0.0, 30.0), wavelengths=(450.0, 650.0), unknown=nothing), TRUTH)
+    assert [(row["theta_i"], row["channel"]) for row in verdict.rows()] == [
+        (0.0, "450 nm"),
+        (0.0, "650 nm"),
+        (30.0, "650 nm"),
+    ]
+    assert len(verdict.worst_rows()) == 2
+    with pytest.raises(ValueError, match="no measured incidence"):
+        compare(foreign(unknown=True), TRUTH)
+
+
+def test_errors_that_are_known_in_part_are_no_errors_where_they_are_not():
+    measurement = foreign(noise=0.02, wavelengths=(450.0, 650.0))
+    measurement.dataset["standard_error"][..., 3, 3, 0] = np.nan
+    measurement.dataset["albedo_standard_error"][..., 0] = np.nan
+    verdict = compare(measurement, TRUTH)
+    assert verdict.table["lobe"].values.ravel().tolist() == ["unknown", "noise"]
+    assert "no errors of some incidences or wavelengths" in verdict.preamble()[0]
+    assert np.isnan(verdict.lobes["significance"]).sum() == 1
+
+
+def test_a_model_sampled_as_a_function_is_that_model():
+    """Two nodes an axis and bin against the averages that are exact to 1e-5."""
+    lobes = Lobes(lambda wi, wo: TRUTH.eval(wi, wo, (550.0,)), np.array([550.0]), np.array([0.0, 30.0]))
+    verdict = compare(lobes.sampled((0.0, 30.0), 0.0, GRID, nodes=6), TRUTH)
+    np.testing.assert_allclose(verdict.table["albedo_bias"], 0.0, atol=2e-5)
+    np.testing.assert_allclose(verdict.table["l1"], 0.0, atol=2e-5)
+
+
+def test_channels_of_a_colour_have_names():
+    attributes = {"basis": "RGB"}
+    verdict = compare(foreign(noise=0.01, wavelengths=(611.4, 549.1, 464.2), attributes=attributes), WRONG)
+    assert {row["channel"] for row in verdict.rows()} == {"R", "G", "B"}
+    words = " ".join([*verdict.sentences(), verdict.conclusion()])
+    assert "nm" not in words
+    assert verdict.sentences()[-1].startswith(f"theta_i 30, {verdict.worst_rows()[0]['channel']}: ")
+
+
+def test_a_verdict_without_errors_is_a_file(tmp_path):
+    path = compare(foreign(), WRONG).save(tmp_path / "verdict.nc")
+    with xr.open_dataset(path, engine="h5netcdf", group="table") as table:
+        assert table.attrs["scope"] == "elsewhere"
+        assert table.attrs["channels"] == "550 nm"
+        assert np.isnan(table["p_value"]).all()

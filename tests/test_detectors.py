@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from gonio.detectors import Apertures, HemisphereGrid
+from gonio.detectors import Apertures, HemisphereGrid, Klems
 from gonio.models import PoulinFournier
 from gonio.optics import Mirror
 from gonio.sphere import angles, direction, rotate_z
@@ -26,6 +26,18 @@ def test_a_grid_covers_the_hemisphere_once(grid):
     assert inside.all()
 
 
+@pytest.mark.parametrize(("basis", "patches"), [("full", 145), ("half", 77), ("quarter", 41)])
+def test_klems_patches_cover_the_hemisphere_once(basis, patches):
+    detector = Klems(basis)
+    assert detector.bins == len(detector.directions) == patches
+    assert math.isclose(detector.projected_solid_angles().sum(), math.pi, rel_tol=1e-14)
+    polar, around = detector.limits()
+    np.testing.assert_array_equal(np.unique(polar), detector.theta_edges)
+    np.testing.assert_allclose(np.bincount(np.searchsorted(detector.theta_edges, polar[:, 0]), around[:, 1]), 180)
+    wo, _ = detector.quadrature(direction(0, 0), nodes=5)
+    assert (detector.owner(wo) == np.arange(patches)[:, None]).all()
+
+
 def test_equal_projected_areas_are_equal():
     areas = GRIDS[2].projected_solid_angles()
     np.testing.assert_allclose(areas, areas[0], rtol=1e-12)
@@ -41,7 +53,9 @@ def test_no_edge_lies_on_the_plane_of_incidence_or_on_a_whole_step():
 
 
 @pytest.mark.parametrize(
-    "detector", [*GRIDS[1:], Apertures(directions=((0, 0), (40, 130), (80, 300)), half_angle=10)], ids=repr
+    "detector",
+    [*GRIDS[1:], Klems(), Klems("half"), Apertures(directions=((0, 0), (40, 130), (80, 300)), half_angle=10)],
+    ids=repr,
 )
 def test_quadrature_averages_with_the_cosine(detector):
     """The mean of 1/cosθ is solid angle over projected solid angle; the mean of a constant is itself."""
@@ -54,7 +68,8 @@ def test_quadrature_averages_with_the_cosine(detector):
         solid = np.full(3, 2 * math.pi * (1 - math.cos(math.radians(10))))
     else:
         edges = np.cos(np.radians(detector.theta_edges))
-        solid = np.repeat(-np.diff(edges) * 2 * math.pi / detector.shape[1], detector.shape[1])
+        sectors = detector.sectors if isinstance(detector, Klems) else np.full(detector.shape[0], detector.shape[1])
+        solid = np.repeat(-np.diff(edges) * 2 * math.pi / sectors, sectors)
     np.testing.assert_allclose((weight / wo[..., 2]).sum(axis=1), solid / areas, rtol=2e-3)
     chosen = np.array([2, 1])
     np.testing.assert_array_equal(detector.quadrature(wi, 4, chosen)[0], detector.quadrature(wi, 4)[0][chosen])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from synthetic import foreign
 
 import gonio
 import microsurfaces as ms
@@ -338,3 +339,16 @@ def test_a_target_out_of_reach_is_a_sentence(toy: Path) -> None:
         InputError, match=r"^goniometer\.target_error = 1e-07 needs .* ask for less, or for wider bins$"
     ):
         Experiment.read(toy, ["goniometer.target_error=1e-7"]).run()
+
+
+def test_models_for_a_measurement_from_elsewhere_must_be_told_what_it_is_made_of() -> None:
+    measurement = foreign()
+    assert models_for(measurement) == ()
+    gold = gonio.CookTorrance(m=0.3, material=gonio.Conductor("Au"))
+    assert models_for(measurement, ["cook-torrance m=0.3 material.name=Au"]) == (gold,)
+    with pytest.raises(InputError) as caught:
+        models_for(measurement, ["CookTorrance", "Lambert"])
+    assert len(caught.value.sentences) == 2
+    assert caught.value.sentences[0].startswith("CookTorrance: this measurement does not tell m and material.name")
+    made_of_gold = foreign(attributes={"material": '{"kind": "Conductor", "name": "Au"}'})
+    assert models_for(made_of_gold, ["cook-torrance m=0.3"]) == (gold,)

@@ -10,7 +10,7 @@ from statistical import assert_covers
 import microsurfaces as ms
 from gonio import goniometer as instrument
 from gonio import optics
-from gonio.detectors import Apertures, HemisphereGrid, cone_quadrature
+from gonio.detectors import Apertures, HemisphereGrid, Klems, cone_quadrature
 from gonio.goniometer import Goniometer
 from gonio.scene import Scene
 from gonio.tally import UNIT
@@ -156,6 +156,7 @@ def test_what_cannot_fit_is_refused_in_words(monkeypatch):
     ({"theta_i": (80.0,), "beam_half_angle": 12.0}, "below the horizon"),
     ({"theta_i": (22.5,), "detector": HemisphereGrid(theta_step=5)}, "bin edge"),
     ({"azimuth": "random"}, "'fixed' or 'average'"),
+    ({"theta_i": (10.0,), "detector": Klems()}, "leave theta_i"),
 ])  # fmt: skip
 def test_impossible_settings_are_refused(arguments, sentence):
     with pytest.raises(ValidationError, match=sentence):
@@ -187,3 +188,52 @@ def test_orders_can_be_kept_apart_one_by_one():
     np.testing.assert_allclose(albedo[1:5], (0.5, 0.30902, 0.09195, 0.03872), atol=5e-4)
     for label, parts in (("1", ["1"]), ("2+", ["2", "3", "4", "5+"])):
         assert (few.sums["weight"].sel(order=label) == many.sums["weight"].sel(order=parts).sum("order")).all()
+
+
+@pytest.mark.parametrize("traced", ["grid", "embree"])
+def test_a_mirror_sends_each_klems_patch_to_its_opposite(traced):
+    """The matrix of a flat mirror: what comes from a patch leaves through the one opposite, wherever in it it began."""
+    relief = ms.Flat().build(0)
+    scene = Scene(relief if traced == "grid" else relief.mesh(), optics.Mirror())
+    for basis in ("full", "half", "quarter"):
+        detector = Klems(basis)
+        data = Goniometer(paths=512, wavelengths=(550,), detector=detector).measure(scene).dataset
+        areas = detector.projected_solid_angles()
+        for k, (theta, phi) in enumerate(detector.directions):
+            lobe = data["brdf"].sel(order="all", theta_i=theta, phi_i=phi).values[:, 0]
+            opposite = detector.directions.index((theta, (phi + 180) % 360 if theta else 0.0))
+            assert lobe[opposite] == pytest.approx(1 / areas[k], rel=1e-9)
+            assert np.delete(lobe, opposite).max() == 0
+        assert int((data["paths"] > 0).sum()) == detector.bins
+
+
+def test_klems_matrices_are_reciprocal():
+    """Patch to patch is a quantity of both: rough gold, asymmetric, light from a and seen from b, and the other way."""
+    detector = Klems("quarter")
+    relief = ms.Gaussian(alpha=0.6, correlation_length=8.0, side=100.0, samples=64).build(3)
+    instrument = Goniometer(paths=40_000, wavelengths=(550,), detector=detector)
+    data = instrument.measure(Scene(relief, optics.Conductor("Au"))).dataset.sel(order="all")
+    chosen = [dict(zip(("theta_i", "phi_i"), at, strict=True)) for at in detector.directions]
+    matrix, error = (
+        np.stack([data[name].sel(**at).values[:, 0] for at in chosen]) for name in ("brdf", "standard_error")
+    )
+    hits = np.stack([data["hits"].sel(**at).values for at in chosen])
+    upper = np.triu((hits >= 30) & (hits.T >= 30), 1)
+    assert upper.sum() > 500
+    z = (matrix - matrix.T)[upper] / np.hypot(error, error.T)[upper]
+    # Student's t with about 30 degrees of freedom.
+    assert abs(z.mean()) < 4 / np.sqrt(z.size)
+    assert z.std() == pytest.approx(np.sqrt(30 / 28), abs=4 * np.sqrt(0.6 / z.size))
+    # And it is no symmetric matter: neighbours of equal theta differ.
+    assert np.abs(matrix - np.roll(matrix, 1, axis=1))[upper].max() > 20 * error[upper].mean()
+
+
+def test_klems_patches_see_a_diffuser_as_it_is():
+    scene = Scene(ms.Flat().build(0), optics.Lambertian(0.5))
+    data = Goniometer(paths=20_000, wavelengths=(550,), detector=Klems("quarter")).measure(scene).dataset
+    lit = data["brdf"].sel(order="all").where(data["paths"] > 0).stack(incidence=("theta_i", "phi_i"))
+    lobe = lit.dropna("incidence").values
+    error = data["standard_error"].sel(order="all").stack(incidence=("theta_i", "phi_i")).dropna("incidence").values
+    z = (lobe - 0.5 / np.pi) / error
+    assert abs(z.mean()) < 4 / np.sqrt(z.size)
+    assert np.abs(z).max() < 8

@@ -236,7 +236,7 @@ def test_directions_are_put_into_the_bins_that_their_angles_lie_in(theta_step, p
     directions = (np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta))
     catch = Catch.empty(1, 1, detector.bins + 1, 1)
     records = np.zeros((count + 1, 2), np.int64)
-    lamp = Lamp(0.5, math.radians(lamp_azimuth), 0.0, False, (1, 2))
+    lamp = Lamp(0.5, math.radians(lamp_azimuth), 0.0, (0.0, 0.0, 0.0), False, (1, 2))
     paths.collect(
         count, directions, np.full(count, ESCAPED, np.int8), np.ones((count, 1)), np.zeros(count, np.int64),
         np.zeros(count, np.int32), np.ones(count, np.int32), paths.bins_of(detector, lamp_azimuth), lamp, np.zeros(1),

@@ -7,12 +7,13 @@ import stat
 import numpy as np
 import pytest
 import xarray as xr
+from synthetic import TRUTH, foreign
 
 import microsurfaces as ms
 from gonio import optics
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.goniometer import Goniometer
-from gonio.measurement import load, save
+from gonio.measurement import load, save, tabulated
 from gonio.scene import Scene
 from gonio.sphere import direction
 
@@ -120,16 +121,12 @@ def test_own_bins_are_the_measured_values(specimens):
     np.testing.assert_array_equal(values, expected)
 
 
-def test_values_at_bin_centres_and_in_between(specimens):
+def test_values_at_bin_centres(specimens):
     isotropic = specimens[0].declared_isotropic()
     table = isotropic.dataset["brdf"].sel(order="all", phi_i=0)
     centre = direction(35.0, 30.0 + 77.0)
     at_node = isotropic.eval(direction(30, 77), centre)
     np.testing.assert_allclose(at_node, table.sel(theta_i=30, theta_o=35, dphi=30).values, rtol=1e-9)
-    # The mirror direction stays the mirror direction: at 45 degrees it mixes those of 30 and 60.
-    between = isotropic.eval(direction(45, 0), direction(45, 180))
-    mean = (table.sel(theta_i=30, theta_o=30, dphi=180) + table.sel(theta_i=60, theta_o=60, dphi=180)) / 2
-    np.testing.assert_allclose(between, mean.values, rtol=1e-9)
     assert (isotropic.eval(direction(30, 0), direction(100, 0)) == 0).all()
 
 
@@ -147,7 +144,7 @@ def test_what_was_not_measured_is_refused(specimens):
     with pytest.raises(ValueError, match="phi_i = 40 lies outside the measured range 0 to 0"):
         specimens[0].eval(direction(30, 40), direction(10, 0))
     apertures = measured(1, detector=Apertures(((20.0, 0.0), (20.0, 180.0)), 3.0))
-    with pytest.raises(ValueError, match="between apertures are not measured"):
+    with pytest.raises(ValueError, match="between apertures or patches are not measured"):
         apertures.eval(direction(30, 0), direction(10, 0))
 
 
@@ -160,3 +157,106 @@ def test_apertures_and_grid_agree():
     score = (data["brdf"] - 0.6 / math.pi) / data["standard_error"]
     assert (abs(score.sel(order="all")) < 5).all()
     np.testing.assert_allclose(data["albedo"].sel(order="all"), 0.6, rtol=1e-9)
+
+
+# --- From elsewhere ---------------------------------------------------------------------------------------------------
+
+HOLE = (np.arange(19) > 15)[:, None, None]
+
+
+def elsewhere(**options):
+    known = {"title": "a table", "origin": "MERL file gold.binary", "isotropic": 1, "temperature": 23.5}
+    return foreign(detector=GRID, theta_i=(0.0, 30.0, 60.0), wavelengths=(450.0, 650.0), attributes=known, **options)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"noise": 0.1}, {"noise": 0.1, "unknown": HOLE}], ids=["exact", "errors", "holes"]
+)
+def test_a_file_gives_back_a_measurement_from_elsewhere(tmp_path, options):
+    made = elsewhere(**options)
+    again = load(save(made, tmp_path / "table.nc"))
+    assert again.sums is None
+    assert again.dataset.identical(made.dataset)
+    assert again.detector == GRID
+    assert again.isotropic
+    assert again.attributes["temperature"] == 23.5
+    assert list(again.incidences()) == [(0.0, 0.0), (30.0, 0.0), (60.0, 0.0)]
+
+
+def test_a_table_has_the_albedo_of_what_is_known():
+    whole, part = elsewhere(noise=0.1), elsewhere(noise=0.1, unknown=HOLE)
+    solid = np.where(HOLE[:, 0], 0.0, GRID.projected_solid_angles().reshape(GRID.shape))[..., None]
+    for made, area in ((whole, GRID.projected_solid_angles().reshape(*GRID.shape, 1)), (part, solid)):
+        brdf, error = (made.dataset[name].sel(order="all").fillna(0.0).values for name in ("brdf", "standard_error"))
+        np.testing.assert_allclose(made.albedo()["albedo"], (brdf * area).sum(axis=(2, 3)), rtol=1e-12)
+        expected = np.sqrt(((error * area) ** 2).sum(axis=(2, 3)))
+        np.testing.assert_allclose(made.albedo()["standard_error"], expected, rtol=1e-12)
+    assert elsewhere().albedo()["standard_error"].isnull().all()
+
+
+def test_an_incidence_of_which_nothing_is_known_was_not_measured():
+    nothing = np.zeros((3, 1, 1, 1, 2), bool)
+    nothing[1, ..., 0] = True
+    nothing[2] = True
+    made = elsewhere(unknown=nothing)
+    np.testing.assert_array_equal(made.measured, [[True], [True], [False]])
+    assert list(made.incidences()) == [(0.0, 0.0), (30.0, 0.0)]
+    assert made.dataset["albedo"].isnull().sum() == 3
+
+
+def test_a_table_is_read_like_a_measurement():
+    made = elsewhere()
+    np.testing.assert_array_equal(
+        made.average(direction(30, 0), GRID), TRUTH.average(direction(30, 0), GRID, (450.0, 650.0))
+    )
+    centre = direction(35.0, 30.0 + 77.0)
+    there = made.dataset["brdf"].sel(order="all", phi_i=0, theta_i=30, theta_o=35, dphi=30)
+    np.testing.assert_allclose(made.eval(direction(30, 77), centre), there, rtol=1e-9)
+    assert np.isnan(elsewhere(unknown=HOLE).eval(direction(30, 77), direction(85.0, 107.0))).all()
+
+
+def test_what_is_known_of_a_specimen_elsewhere():
+    made = elsewhere()
+    assert made.material is None
+    assert made.surface is None
+    assert made.facets is None
+    assert made.surface_statistics == {}
+    told = foreign(attributes={"material": '{"kind": "Conductor", "name": "Au"}', "surface_statistics": '{"Sq": 1.0}'})
+    assert told.material == optics.Conductor("Au")
+    assert told.surface_statistics == {"Sq": 1.0}
+    assert foreign(attributes={"material": "brushed steel"}).material is None
+
+
+def test_what_nobody_counted_is_refused_in_a_sentence(specimens):
+    made = elsewhere()
+    for one, other in ((made, made), (made, specimens[0]), (specimens[0], made)):
+        with pytest.raises(ValueError, match="comes from another program's file, without the sums"):
+            one.merge(other)
+    with pytest.raises(ValueError, match="keeps no ledger"):
+        made.ledger()
+
+
+def test_channels_have_names():
+    assert elsewhere().channels == ("450 nm", "650 nm")
+    for basis, names in (("RGB", ("R", "G", "B")), ("XYZ", ("X", "Y", "Z"))):
+        assert foreign(wavelengths=(600.0, 550.0, 450.0), attributes={"basis": basis}).channels == names
+    assert foreign(attributes={"basis": "Y"}).channels == ("Y",)
+    assert foreign(attributes={"basis": "spectrum"}).channels == ("550 nm",)
+    assert foreign(attributes={"basis": "RGB"}).channels == ("550 nm",)
+
+
+@pytest.mark.parametrize("damage", ["brdf", "standard_error", "theta_o", "detector"])
+def test_a_damaged_table_is_refused_in_a_sentence(tmp_path, damage):
+    made = elsewhere()
+    if damage == "detector":
+        data = made.dataset.assign_attrs(detector='{"kind": "HemisphereGrid", "theta_step": 10, "phi_step": 15}')
+    else:
+        data = made.dataset.isel(theta_o=slice(1)) if damage == "theta_o" else made.dataset.drop_vars(damage)
+    data.to_netcdf(tmp_path / "table.nc", engine="h5netcdf")
+    with pytest.raises(ValueError, match=r"table\.nc: not a measurement that gonio wrote, or it is damaged"):
+        load(tmp_path / "table.nc")
+
+
+def test_a_table_needs_as_many_values_as_its_detector_has_bins():
+    with pytest.raises(ValueError, match="could not be broadcast"):
+        tabulated(np.zeros((1, 1, 3, 4, 1)), GRID, 0.0, 0.0, 550.0)

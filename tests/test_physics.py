@@ -326,10 +326,15 @@ def test_height_fields_and_meshes_are_lit_at_the_same_places():
     from gonio.grid import Grid
     from gonio.paths import Lamp
 
-    paths, members, turns = 4**4, 3, np.array([0.1, 0.5, 0.9])
+    paths, members, turns, none = 4**4, 3, np.array([0.1, 0.5, 0.9]), (0.0, 0.0, 0.0)
     relief = ms.HeightField(np.random.default_rng(1).normal(size=(6, 8)), (0.25, 0.5))
     grid, tile = Grid.of(relief), Scene(relief.mesh(), optics.Mirror()).tile
-    for lamp in (Lamp(0.3, 1.0, 0.0, False, (1, 2)), Lamp(0.3, 1.0, 0.01, True, (1, 2))):
+    lamps = (
+        Lamp(0.3, 1.0, 0.0, none, False, (1, 2)),
+        Lamp(0.3, 1.0, 0.01, none, True, (1, 2)),
+        Lamp(0.3, 1.0, 0.0, (0.1, 0.2, 0.3), False, (1, 2)),
+    )
+    for lamp in lamps:
         wave, flight = transport._empty_wave(paths * members, 1), grid_transport.Flight.of(paths * members, 1)
         beam = grid_transport.beam_of(lamp, grid, paths * members)
         transport._launch(wave, 0, 0, paths * members, paths, 4, turns, lamp, tile)

@@ -10,10 +10,12 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib import colors as colours
 from PIL import Image
+from synthetic import TRUTH, foreign
 
 import gonio
 import microsurfaces as ms
 from gonio import plots
+from gonio.compare import compare
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.models import CookTorrance, Lambert
 
@@ -46,7 +48,6 @@ def from_function(f, grid=GRID, theta_i=(40.0,), error=0.1, mc=0.06):
             "standard_error_mc": (dims, np.full(shape, mc)),
             "hits": (dims[:-1], np.full(shape[:-1], 100)),
             "projected_solid_angle": (dims[3:5], grid.projected_solid_angles().reshape(grid.shape)),
-            "paths": (dims[1:3], np.full(shape[1:3], 1000)),
             **{f"{n}_bounds": ((n, "bounds"), np.stack([e[:-1], e[1:]], axis=1)) for n, e in edges.items()},
         },
         coords={
@@ -59,7 +60,13 @@ def from_function(f, grid=GRID, theta_i=(40.0,), error=0.1, mc=0.06):
         },
         attrs={"title": "a test with a $ in it"},
     )
-    return SimpleNamespace(dataset=dataset, detector=grid, wavelengths=np.array([550.0]))
+    return SimpleNamespace(
+        dataset=dataset,
+        detector=grid,
+        wavelengths=np.array([550.0]),
+        channels=("550 nm",),
+        measured=np.ones((len(theta_i), 1), bool),
+    )
 
 
 def pixels(path):
@@ -107,7 +114,7 @@ def test_what_was_not_measured_is_left_out(kind, tmp_path):
     part = measured(progress=stop)
     assert sorted(set(part.dataset["paths"].values.flat)) == [0, 20_000]
     assert kind(part, tmp_path / "picture.png").exists()
-    part.dataset["paths"][:] = 0
+    part.dataset["albedo"][:] = np.nan
     with pytest.raises(ValueError, match="nothing to draw"):
         kind(part, tmp_path / "nothing.png")
 
@@ -319,3 +326,90 @@ def test_a_map_of_differences_is_red_where_the_model_is_too_bright(tmp_path):
     bright, dark = (where(maps, colours.to_hex(colormaps["RdBu_r"](share)), 25)[0] for share in (0.9, 0.1))
     assert min(len(bright), len(dark)) > 5000
     assert np.quantile(bright, 0.95) < np.quantile(dark, 0.05)
+
+
+# --- Measurements from elsewhere -------------------------------------------------------------------------------------
+
+TABLES = [{}, {"noise": 0.05}, {"noise": 0.05, "unknown": GRID.theta[:, None, None] > 70}]
+
+
+def words_of(draw, monkeypatch):
+    """Everything that is written in a figure."""
+    from matplotlib.text import Text
+
+    drawn = []
+    monkeypatch.setattr(plots, "_save", lambda figure, path: drawn.append(figure) or path)
+    draw()
+    return [text.get_text() for text in drawn[0].findobj(Text) if text.get_text()]
+
+
+@pytest.mark.parametrize("options", TABLES, ids=["exact", "errors", "holes"])
+@pytest.mark.parametrize("kind", [*KINDS, plots.difference])
+def test_every_kind_draws_a_measurement_from_elsewhere(kind, options, tmp_path):
+    made = foreign(detector=GRID, theta_i=(10.0, 50.0), wavelengths=(450.0, 650.0), **options)
+    model = CookTorrance(m=0.4, material=gonio.Conductor("Au"))
+    further = (compare(made, model),) if kind is plots.difference else ()
+    picture = pixels(kind(made, *further, tmp_path / "picture.png"))
+    # Two panels side by side, and two rows of maps if there are errors.
+    columns, _ = where(picture, plots.LAMP)
+    assert {2 * c // picture.shape[1] for c in columns} == {0, 1}
+    if kind in (plots.hemisphere, plots.difference):
+        assert (picture.shape[0] > 900) == ("noise" in options)
+    nothing = foreign(detector=GRID, unknown=True)
+    if not further:
+        with pytest.raises(ValueError, match="nothing to draw"):
+            kind(nothing, tmp_path / "nothing.png")
+
+
+def test_channels_of_a_colour_are_called_by_their_names(monkeypatch):
+    made = foreign(detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"})
+    verdict = compare(made, TRUTH)
+    words = words_of(lambda: plots.slices(made, "x.png"), monkeypatch)
+    assert {"R", "G", "B"} < set(words)
+    for draw in (plots.lobes, plots.hemisphere, lambda m, path: plots.difference(m, verdict, path)):
+        title = " ".join(words_of(lambda draw=draw: draw(made, "x.png"), monkeypatch))
+        assert "channel G" in title
+        assert "nm" not in title
+
+
+def test_what_nobody_counted_is_not_spoken_of(monkeypatch):
+    """No hits, no orders, and standard errors only where there are some."""
+    for noise in (None, 0.05):
+        made = foreign(detector=GRID, noise=noise)
+        words = words_of(lambda made=made: plots.slices(made, "x.png"), monkeypatch)
+        assert ("± 2 standard errors" in words) == (noise is not None)
+        words += words_of(lambda made=made: plots.hemisphere(made, "x.png"), monkeypatch)
+        assert not any("hits" in text or "orders" in text for text in words)
+        assert ("relative standard error (%)" in words) == (noise is not None)
+
+
+def test_a_slice_averages_the_bins_that_are_known():
+    """Near the pole several sectors lie in the plane: the value is the mean of those that are known."""
+    grid = HemisphereGrid(theta_step=2.0, phi_step=10.0)
+    made = foreign(Lambert(0.5), noise=0.1, detector=grid, unknown=((grid.dphi % 20 > 0) | (grid.dphi == 180))[:, None])
+    (incidence,), _ = plots._incidences(made)
+    cut = plots._Cut.of(made, incidence)
+    value, error = cut.read(incidence.data, "all", 550.0)
+    brdf, errors = (incidence.data[name].sel(order="all").values[..., 0] for name in ("brdf", "standard_error"))
+    # 0 and 20 degrees on the lamp's side; of the mirror's only 160 and 200.
+    lamp, mirror = (np.flatnonzero(np.isin(grid.dphi, some)) for some in ((340, 0, 20), (160, 200)))
+    np.testing.assert_allclose(value[cut.angle == -2], brdf[1, lamp].mean(), rtol=1e-12)
+    np.testing.assert_allclose(value[cut.angle == 2], brdf[1, mirror].mean(), rtol=1e-12)
+    np.testing.assert_allclose(error[cut.angle == 2], np.sqrt((errors[1, mirror] ** 2).sum()) / 2, rtol=1e-12)
+    assert np.isnan(value[cut.angle > 20]).all()
+    assert np.isfinite(value[cut.angle < 2]).all()
+
+
+@pytest.mark.parametrize("rendered", [True, False])
+def test_a_lobe_has_a_hole_where_nothing_is_known(rendered, tmp_path, monkeypatch):
+    """Only the plane of incidence is known: of the lobe a ribbon is left."""
+    if rendered and not plots._can_render():
+        pytest.skip("no GL library for VTK")
+    monkeypatch.setattr(plots, "_can_render", lambda: rendered)
+    counts = []
+    for unknown in (False, GRID.dphi % 180 > 0):
+        made = foreign(Lambert(0.5), detector=GRID, unknown=np.reshape(unknown, (-1, 1)))
+        picture = pixels(plots.lobes(made, tmp_path / "lobes.png"))[:, :700]
+        red, green, blue = np.moveaxis(picture, -1, 0)
+        counts.append(((green > red + 40) & (green > 0.8 * blue)).sum())
+    assert 100 < counts[1] < 0.3 * counts[0]

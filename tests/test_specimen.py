@@ -112,3 +112,59 @@ def test_parameters_by_name():
     with pytest.raises(ValueError, match="use a microfacet model"):
         Specimen({}, Mirror()).described("Lambert")
     assert Specimen({}, Lambertian(0.5)).described("lambert") == Lambert(0.5)
+
+
+# --- A specimen from elsewhere ----------------------------------------------------------------------------------------
+
+UNKNOWN = Specimen({}, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "model"),
+    [
+        ("cook-torrance m=0.3 material.name=Au", CookTorrance(m=0.3, material=GOLD)),
+        ("cook-torrance m=0.3 material.name=SiO2", CookTorrance(m=0.3, material=Dielectric("SiO2"))),
+        ("cook-torrance m=0.3 material.eta=1.5", CookTorrance(m=0.3, material=Dielectric(eta=1.5))),
+        ("cook-torrance m=0.3 material.eta=0.2 material.k=3", CookTorrance(m=0.3, material=Conductor(eta=0.2, k=3.0))),
+        ("cook-torrance m=0.3 material.kind=Mirror", CookTorrance(m=0.3, material=Mirror())),
+        (
+            "microfacet distribution.kind=GGX distribution.alpha=0.2 material.name=Au",
+            Microfacet(distribution=GGX(0.2), masking=SmithCorrelated(), material=GOLD),
+        ),
+        ("poulin-fournier local.reflectance=0.5", PoulinFournier(local=Lambertian(0.5))),
+        ("lambert reflectance=0.3", Lambert(0.3)),
+        ("ward alpha=0.2", Ward(alpha=0.2)),
+    ],
+)
+def test_what_a_file_does_not_tell_can_be_said(text, model):
+    assert UNKNOWN.described(text) == model
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("cook-torrance", r"tell m and material\.name of its specimen: give them, such as m=0\.12 material\.name=Au\."),
+        ("cook-torrance m=0.3", r"tell material\.name of its specimen: give it, such as material\.name=Au\."),
+        ("cook-torrance material.name=Au", "roughness: give m"),
+        ("microfacet", r"tell distribution\.alpha and material\.name"),
+        ("lambert", r"tell reflectance of its specimen: give it, such as reflectance=0\.25\."),
+        ("poulin-fournier distance=3", r"tell local\.name of its specimen"),
+        ("ward", "tell alpha, specular and reflectance"),
+        ("cook-torrance m=0.3 material.name=Gold", "did you mean 'Au'"),
+        ("cook-torrance m=0.3 material=Au", "must be a table whose kind is Mirror, Conductor or Dielectric"),
+    ],
+)
+def test_what_must_be_said_is_asked_for_in_a_sentence(text, words):
+    with pytest.raises(ValueError, match=words) as error:
+        UNKNOWN.described(text)
+    assert "\n" not in str(error.value)
+
+
+def test_a_fit_needs_the_material_only():
+    model = UNKNOWN.described("cook-torrance material.name=Au", to_fit=True)
+    assert model.material == GOLD
+    assert 0.005 < model.m < 3.0
+    with pytest.raises(ValueError, match=r"does not tell material\.name of its specimen"):
+        UNKNOWN.described("cook-torrance", to_fit=True)
+    with pytest.raises(ValueError, match="material is missing"):
+        Specimen({"beckmann_alpha": 0.25}, Lambertian()).described("cook-torrance m=0.3")

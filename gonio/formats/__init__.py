@@ -61,6 +61,22 @@ def _format(title: str, suffix: str, module: str, **options: object) -> Format:
 
 
 FORMATS: Mapping[str, Format] = {
+    "rgl": _format("RGL/EPFL tensor file, sRGB: Mitsuba 3", ".bsdf", "rgl", colour=True),
+    "rgl-spectral": _format("the same, spectral: Mitsuba 3, pbrt-v4", ".bsdf", "rgl", colour=False),
+    "merl": _format("MERL, isotropic RGB: BRDF Explorer, ALTA ...", ".binary", "merl"),
+    "merl-edge": _format("the same, for programs that interpolate: BSDFProcessor", ".binary", "merl", sample="edge"),
+    "klems-full": _format("Klems matrix, 145 patches: Radiance, WINDOW ...", ".xml", "radiance", basis="klems-full"),
+    "klems-half": _format("the same, 77 patches", ".xml", "radiance", basis="klems-half"),
+    "klems-quarter": _format("the same, 41 patches", ".xml", "radiance", basis="klems-quarter"),
+    "tensor3": _format("isotropic tensor tree: Radiance", ".xml", "radiance", basis="tensor3"),
+    "tensor4": _format("anisotropic tensor tree: Radiance", ".xml", "radiance", basis="tensor4"),
+    "pab": _format("PAB-Opto, a text file per incidence: Radiance, Tekari", ".pab", "pab"),
+    "zemax": _format("Zemax OpticStudio table, luminance", ".bsdf", "zemax"),
+    "zemax-xyz": _format("the same, tristimulus", ".bsdf", "zemax", colour=True),
+    "astm": _format("ASTM E1392 text, as Cornell's: BSDFProcessor", ".astm", "astm"),
+    "bird": _format("BiRD universal BRDF, JSON with uncertainties", ".json", "bird"),
+    "csv": _format("one line per bin, with errors: pandas, spreadsheets", ".csv", "table_csv"),
+    "openmaterial": _format("ASAM OpenMATERIAL 3D look-up table", ".xompt", "openmaterial"),
     "exr": _format("OpenEXR, spectral, bins with errors", ".exr", "exr"),
     "exr-rgb": _format("OpenEXR, linear sRGB, bins", ".exr", "exr", colour=True),
     "exr-disc": _format("OpenEXR, linear sRGB, equal-area disc", ".exr", "exr", colour=True, layout="disc"),
@@ -100,11 +116,8 @@ def export(measurement: Measurement | Lobes, path: str | os.PathLike[str], forma
 
     path = Path(path)
     chosen = FORMATS[_name(path, format)]
-    if isinstance(measurement, Lobes):
-        source, left_out = measurement, ()
-    else:
-        source = Lobes.of(measurement)
-        left_out = _left_out(measurement, source)
+    source = measurement if isinstance(measurement, Lobes) else Lobes.of(measurement)
+    left_out = () if isinstance(measurement, Lobes) else _left_out(measurement, source)
     return Exported(path, (*left_out, *chosen.write(source, path)), source, chosen)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.colour import PRIMARIES, rgb_weights, xyz_of_rgb, xyz_weights
-from gonio.detectors import HemisphereGrid
+from gonio.detectors import HemisphereGrid, Klems
 from gonio.measurement import Measurement, tabulated
 from gonio.sphere import Vectors, direction
 
@@ -55,8 +55,18 @@ class Lobes:
         """A measurement as a function; incidences that were not measured do not count.
 
         One that knows a single azimuth of the light counts as isotropic if its specimen's slopes are as steep along x
-        as along y; of others the function raises ValueError. So does this for apertures, and if nothing was measured.
+        as along y; of others the function raises ValueError. Klems's patches are a function in steps. Raises ValueError
+        for apertures, and if nothing was measured.
         """
+        if isinstance(measurement.detector, Klems):
+            return cls(
+                evaluate=_in_patches(measurement, measurement.detector),
+                wavelengths=measurement.wavelengths,
+                theta_i=measurement.dataset["theta_i"].values,
+                isotropic=False,
+                detector=HemisphereGrid(theta_step=2.5, phi_step=7.5),
+                attributes=measurement.attributes,
+            )
         if not isinstance(measurement.detector, HemisphereGrid):
             raise ValueError(
                 "this measurement was made with Apertures, between which nothing is known; measure with detector = "
@@ -127,7 +137,7 @@ class Lobes:
             case "RGB", "Y":
                 return xyz_of_rgb()[1:2]
             case "XYZ", "RGB":
-                return np.linalg.inv(xyz_of_rgb())
+                return np.asarray(np.linalg.inv(xyz_of_rgb()))
             case "XYZ", "Y":
                 return np.eye(3)[1:2]
             case "Y", "RGB" | "XYZ":
@@ -164,6 +174,13 @@ class Lobes:
     def measured(self) -> Measurement:
         """The measurement behind this, or one sampled at the incidences and bins that suit it."""
         return self.measurement or self.sampled(self.theta_i, self.phi_i, self.detector)
+
+
+def _in_patches(measurement: Measurement, detector: Klems) -> Callable[[Vectors, Vectors], Floats]:
+    """The entry of the patches in which both directions lie."""
+    data = measurement.dataset["brdf"].sel(order="all")
+    matrix = np.stack([data.sel(theta_i=theta, phi_i=phi).values for theta, phi in detector.directions])
+    return lambda wi, wo: matrix[detector.owner(wi), detector.owner(wo)]
 
 
 def _mixed(measurement: Measurement, weights: Floats, nominal: Floats, attributes: Mapping[str, Any]) -> Measurement:

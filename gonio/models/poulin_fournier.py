@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from gonio.detectors import Apertures, Detector
+from gonio.detectors import Apertures, Detector, Klems
 from gonio.models.averages import bin_average
 from gonio.models.cook_torrance import NORMALISATIONS, CookTorrance
 from gonio.models.cylinder_lobes import COLUMNS, lambertian, rough
@@ -347,7 +347,10 @@ def _crossings(lamp: Vectors, angle: float, detector: Detector) -> Array:
         return np.sort(np.concatenate([middle - apart, middle + apart]))
     cosines = np.cos(np.radians(detector.theta_edges)) / across
     rings = np.arccos(cosines[cosines <= 1.0])
-    azimuths = np.radians(detector.dphi_edges + angles(lamp)[1])
+    if isinstance(detector, Klems):
+        azimuths = np.radians(np.concatenate([(np.arange(n) + 0.5) * (360 / n) for n in set(detector.sectors)]) - angle)
+    else:
+        azimuths = np.radians(detector.dphi_edges + angles(lamp)[1])
     with np.errstate(divide="ignore"):
         sines = -(axial / across) / np.tan(azimuths)
     sectors = np.arcsin(sines[np.abs(sines) <= 1.0])
@@ -360,9 +363,4 @@ def _deposit(share: Array, power: Array, wo: Vectors, lamp: Vectors, angle: floa
         seen = wo @ rotate_z(detector.axes, -angle).T >= math.cos(math.radians(detector.half_angle))
         share += seen.T @ power
         return
-    theta, phi = angles(wo)
-    rings, sectors = detector.shape
-    ring = np.clip(np.searchsorted(detector.theta_edges, theta, side="right") - 1, 0, rings - 1)
-    sector = np.floor((phi - angles(lamp)[1]) / 360 * sectors + 0.5).astype(int) % sectors
-    # The pole is in the first sector.
-    np.add.at(share, ring * sectors + np.where(theta > 1e-9, sector, 0), power)
+    np.add.at(share, detector.owner(rotate_z(wo, angle), rotate_z(lamp, angle)), power)

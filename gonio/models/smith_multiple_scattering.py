@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from gonio.detectors import Detector, HemisphereGrid
+from gonio.detectors import Apertures, Detector
 from gonio.models.averages import Estimate
 from gonio.models.distributions import BECKMANN, Beckmann, Distribution, density
 from gonio.models.facets import specular
@@ -26,7 +26,7 @@ from gonio.models.masking import SmithCorrelated
 from gonio.models.microfacet import Microfacet
 from gonio.optics import Lambertian, Material, Mirror, Specular, fresnel
 from gonio.randomness import WORD, kernel, philox, uniform
-from gonio.sphere import Vectors, angles
+from gonio.sphere import Vectors
 from microsurfaces.recipe import recipe
 
 Array = NDArray[np.float64]
@@ -472,27 +472,21 @@ def _next_events(lobes, eta, k, wi, wo, first, stop, key, value):  # type: ignor
 
 def _collect(detector: Detector, wi: Vectors, exits: _Exits, caught: Array) -> None:
     """Add what left to `caught` (orders + 1, bins, W): to the sum of all orders, and to its own."""
-    if isinstance(detector, HemisphereGrid):
-        upper = np.sin(np.radians(detector.theta_edges[1:-1])) ** 2
-        turn = float(angles(wi)[1]) / 360.0
-        _sort(exits.directions, exits.hits, exits.weights, upper, detector.shape[1], turn, caught)
-    else:
+    if isinstance(detector, Apertures):
         cosine = math.cos(math.radians(detector.half_angle))
         _sight(exits.directions, exits.hits, exits.weights, np.ascontiguousarray(detector.axes), cosine, caught)
+    else:
+        _sort(detector.owner(exits.directions, wi), exits.hits, exits.weights, caught)
 
 
 @kernel
-def _sort(directions, hits, weights, upper, sectors, turn, caught):  # type: ignore[no-untyped-def]
-    """Into the bins of a grid with rings up to sin^2 = `upper` and sectors that count from `turn`."""
+def _sort(places, hits, weights, caught):  # type: ignore[no-untyped-def]
+    """Into the bins `places` (n,)."""
     for i in range(hits.size):
-        x, y = directions[i, 0], directions[i, 1]
-        turns = math.atan2(y, x) * (0.5 / math.pi) - turn + 0.5 / sectors
-        sector = min(int((turns - math.floor(turns)) * sectors), sectors - 1)
-        place = np.searchsorted(upper, x * x + y * y, side="right") * sectors + sector
         order = min(hits[i], caught.shape[0] - 1)
         for w in range(weights.shape[1]):
-            caught[0, place, w] += weights[i, w]
-            caught[order, place, w] += weights[i, w]
+            caught[0, places[i], w] += weights[i, w]
+            caught[order, places[i], w] += weights[i, w]
 
 
 @kernel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from gonio.models import Model
 from gonio.models.parameters import BOUNDS, give_way, put
-from gonio.optics import Lambertian, Material
+from gonio.optics import DIELECTRICS, Lambertian, Material
 from microsurfaces.recipe import did_you_mean, from_toml, members, parameters, sentences
 
 _CHOICES = {"masking": "SmithCorrelated", "distribution": "Beckmann"}
@@ -29,7 +29,8 @@ class Specimen:
 
     statistics: Mapping[str, float | None]
     """What `Statistics` measured on its facets."""
-    material: Material
+    material: Material | None
+    """None if it is not known: then it must be said, as in "cook-torrance m=0.3 material.name=Au"."""
     surface: object = None
     """Its recipe, if known."""
 
@@ -48,16 +49,16 @@ class Specimen:
         """The model called `name` with `settings`, by dotted names or in nested tables; else as `described`."""
         cls: Any = model_class(name)
         settings = dict(_flat(settings))
-        try:
-            table = _as_table(cls.of(self.statistics, self.material, self.surface))
-        except ValueError as error:
-            if not (settings or to_fit):
-                raise ValueError(_in_words(error, cls)) from None
-            table = self._unspecified(cls, to_fit)
+        table = self._table(cls, bool(settings) or to_fit, to_fit)
         try:
             for key, value in settings.items():
                 put(table, key, value)
             give_way(table, settings)
+            for part in _materials(cls):
+                if self.material is None and part not in table:
+                    raise ValueError(_untold(cls, [f"{part}.name"]))
+                if isinstance(made_of := table.get(part), dict) and "kind" not in made_of:
+                    made_of["kind"] = _kind_of(made_of)
             model: Model = TypeAdapter(Model).validate_json(json.dumps(table))
         except KeyError as error:
             raise ValueError(f"{error.args[0]} is a value, not a table.") from None
@@ -65,12 +66,27 @@ class Specimen:
             raise ValueError(_in_words(error, Model)) from None
         return model
 
+    def _table(self, cls: Any, more: bool, to_fit: bool) -> dict[str, Any]:
+        """What the specimen tells of a model; a ValueError if it tells too little and there is no `more` to come."""
+        if self.material is None:
+            if not more:
+                raise ValueError(_untold(cls, [*cls.free, *(f"{part}.name" for part in _materials(cls))]))
+            return self._unspecified(cls, to_fit)
+        try:
+            return _as_table(cls.of(self.statistics, self.material, self.surface))
+        except ValueError as error:
+            if not more:
+                raise ValueError(_in_words(error, cls)) from None
+            return self._unspecified(cls, to_fit)
+
     def _unspecified(self, cls: Any, to_fit: bool) -> dict[str, Any]:
         """The table of a model of which the specimen tells no more than its material."""
         table: dict[str, Any] = {"kind": cls.__name__}
         for name in parameters(cls):
             if name in _CHOICES:
                 table[name] = {"kind": _CHOICES[name]}
+            elif self.material is None:
+                continue
             elif name == "local" or (name == "material" and not isinstance(self.material, Lambertian)):
                 table[name] = TypeAdapter(Material).dump_python(self.material, mode="json", exclude_none=True)
         for name, (low, high) in cls.free.items() if to_fit else ():
@@ -100,6 +116,28 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
         else:
             number = key.rsplit(".", 1)[-1] in BOUNDS and isinstance(value, int)
             yield f"{prefix}{key}", float(value) if number else value
+
+
+def _materials(cls: Any) -> list[str]:
+    """The parameters of a model that say what its specimen is made of."""
+    return [name for name in ("material", "local") if name in parameters(cls)]
+
+
+def _untold(cls: Any, names: Sequence[str]) -> str:
+    """The sentence that asks for parameters which a measurement from elsewhere does not tell."""
+    middles = {name: float(f"{np.sqrt(low * high) or high / 4.0:.2g}") for name, (low, high) in cls.free.items()}
+    wanted = " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
+    example = " ".join(f"{name}={middles[name]:g}" if name in middles else f"{name}=Au" for name in names)
+    what = "it" if len(names) == 1 else "them"
+    return f"this measurement does not tell {wanted} of its specimen: give {what}, such as {example}."
+
+
+def _kind_of(material: Mapping[str, Any]) -> str:
+    """The kind of a material of which only the parameters were given."""
+    if "reflectance" in material:
+        return "Lambertian"
+    transparent = material.get("name") in DIELECTRICS or ("eta" in material and "k" not in material)
+    return "Dielectric" if transparent else "Conductor"
 
 
 def _as_table(model: Model) -> dict[str, Any]:

@@ -1,0 +1,210 @@
+"""PAB-Opto text `.pab`: what the goniophotometers of pab advanced technologies write, a file for every incidence.
+
+Opens in Radiance (`pabopto2bsdf -s isotropic $(cat NAME.pab) > NAME.sir`, then `bsdf2klems` or `bsdf2ttree`; it wants
+two incidences or more) and, one at a time, in Tekari.
+
+A file begins with lines of a #: `intheta` and `inphi` of the direction to the light, `upphi` (the azimuth of "up": 90
+for +y, our frame; a missing line means 0, a frame turned by 90 degrees), `format` (BSDF, BRDF or BTDF in 1/sr, or DSF,
+which is BSDF times cosine) and `colorimetry`, CIE-Y or CIE-XYZ. Then come lines of theta, phi and Y, or X, Y and Z:
+angles in degrees, of directions away from the surface, azimuths counter-clockwise from +x, so that light from inphi has
+its mirror direction at inphi + 180. White is that of equal energy, as in Radiance: a neutral surface has X = Y = Z.
+
+`NAME.pab` lists the files of a set, one name a line, for whoever wants one file; one can make lists of other sets.
+Values are the averages over the measurement's own bins, at their centres, so all that is lost are the spectrum, the
+errors and what is behind the sixth digit. Between the bins a set is what `table` makes of such lists; transmission is
+left out. The header lines `symmetry` and `detector` are ours, and others skip them.
+
+P. Apian-Bennewitz, "Scanning Gonio-Photometers for Asymmetric Acquisition of Fine-structured BSDF", Eurographics
+Workshop on Material Appearance Modeling (2014), 1-4, doi:10.2312/mam.20141291.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gonio.colour import xyz_of_rgb
+from gonio.formats.lobes import NOMINAL, Basis, Floats, Lobes
+from gonio.formats.table import Table, decimal, detector_of, incidences, title_of
+from gonio.formats.text import numbers
+from gonio.measurement import Measurement
+
+LARGEST = 1 << 30
+"""Bytes that the files of a set may have together."""
+
+_MOST_TURNS = 1e6
+"""Degrees that an angle may have: beyond, rounding turns it into any other."""
+
+WHITE = xyz_of_rgb().sum(axis=1)
+"""X, Y and Z of a neutral surface with Y = 1 here; all 1 in the files."""
+
+
+def write(lobes: Lobes, path: Path) -> Sequence[str]:
+    """Write a file for every incidence beside `path`, which lists them; in colour if there is more than one channel.
+
+    They are named as `path` with `_theta_i030.0_phi_i000.0` before the suffix. Raises OSError where nothing can be
+    written.
+    """
+    lobes = lobes.in_basis("Y" if len(lobes.wavelengths) == 1 else "XYZ")
+    measurement = lobes.measured()
+    names, unknown = [], []
+    with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as folder:
+        for theta_i, phi_i, values, _ in incidences(measurement):
+            names.append(f"{path.stem}_theta_i{_angle(theta_i)}_phi_i{_angle(phi_i)}{path.suffix}")
+            unknown.append(np.isnan(values).mean())
+            text = _header(lobes, measurement, theta_i, phi_i) + _lines(lobes, phi_i, values)
+            (Path(folder) / names[-1]).write_text(text, encoding="utf-8")
+        (Path(folder) / path.name).write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
+        for name in (*names, path.name):
+            (Path(folder) / name).replace(path.parent / name)
+    notes = [f"{path.name} lists the files of the {len(names)} incidences, {names[0]} and so on"]
+    if np.any(unknown):
+        notes.append(f"{np.mean(unknown):.2%} of the bins are not known: they have no line")
+    return notes
+
+
+def _angle(degrees: float) -> str:
+    """`030.0`, with more digits where one is not enough."""
+    return f"{degrees:05.1f}" if round(degrees, 1) == degrees else decimal(degrees)
+
+
+def _header(lobes: Lobes, measurement: Measurement, theta_i: float, phi_i: float) -> str:
+    """What comes before the numbers."""
+    title = title_of(lobes.title).replace('"', "'")[:200]
+    return f"""#sample_name "{title}"
+#colorimetry: CIE-{"Y" if len(lobes.wavelengths) == 1 else "XYZ"}
+#format: theta phi BRDF
+#intheta {decimal(theta_i)}
+#inphi {decimal(phi_i)}
+#upphi 90
+#symmetry {"isotropic" if lobes.isotropic else "anisotropic"}
+#detector {measurement.attributes["detector"]}
+"""
+
+
+def _lines(lobes: Lobes, phi_i: float, values: Floats) -> str:
+    """A line for every bin of `values` (rings, sectors, channels) that is known."""
+    grid = lobes.detector
+    theta, phi = np.meshgrid(grid.theta, (grid.dphi + phi_i) % 360, indexing="ij")
+    white = WHITE if values.shape[2] == 3 else np.ones(1)
+    rows = np.concatenate([theta[..., None], phi[..., None], values / white], axis=-1).reshape(-1, 2 + values.shape[2])
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    line = " ".join(["%.6f", "%.6f", *["%.6g"] * values.shape[2]]) + "\n"
+    return (line * len(rows)) % tuple(rows.ravel().tolist())
+
+
+def read(path: Path) -> Lobes:
+    """The set that `path` lists, or the one incidence of a data file; Y or XYZ.
+
+    Incidences with a single azimuth count as an isotropic specimen, as for pabopto2bsdf. Raises ValueError for anything
+    else.
+    """
+    try:
+        text = _text(path)
+        if _FORMAT.search(text):
+            found = [_incidence(path.name, text)]
+        else:
+            found = [_incidence(name, _text(path.parent / name)) for name in _listed(path, text)]
+        return _joined(found, path.name).lobes()
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{path}: neither a PAB-Opto file nor a list of such files: {title_of(error)}") from None
+
+
+_FORMAT = re.compile(r"^#\s*format:\s*theta\s+phi\s+(\S+)", re.MULTILINE)
+
+
+def _text(path: Path) -> str:
+    if path.stat().st_size > LARGEST:
+        raise ValueError(f"{path.name} is larger than {LARGEST >> 20} MiB")
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
+def _listed(path: Path, text: str) -> list[str]:
+    """The files that a list names, all beside it."""
+    names = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    here = {file.name: file.stat().st_size for file in path.parent.iterdir() if file.is_file()} if names else {}
+    for name in names:
+        if name not in here:
+            raise ValueError(f"it has no line #format, and there is no file {name[:80]!r} beside it")
+    if not names or len(set(names)) < len(names):
+        raise ValueError("it has no line #format, and names no files or one twice")
+    if sum(here[name] for name in names) > LARGEST:
+        raise ValueError(f"its files are larger than {LARGEST >> 20} MiB together")
+    return names
+
+
+@dataclass(frozen=True)
+class _Incidence:
+    """What one file says."""
+
+    header: str
+    theta_i: float
+    phi_i: float
+    rows: Floats
+    """(n, 2 + channels): theta_o and phi_o in degrees, values in 1/sr."""
+
+    def noted(self, word: str) -> str | None:
+        """The text behind a word of the header."""
+        found = re.search(rf"^#\s*{word}:?[ \t]+(.*?)\s*$", self.header, re.MULTILINE)
+        return found[1] if found else None
+
+
+def _incidence(name: str, text: str) -> _Incidence:
+    """The numbers of a file, azimuths from +x."""
+    end = re.search(r"^(?!#)", text, re.MULTILINE)
+    header = text[: end.start()] if end else text
+    try:
+        kind, found = _FORMAT.search(header), _Incidence(header, 0.0, 0.0, np.empty((0, 3)))
+        if kind is None or kind[1].upper() not in ("BSDF", "BRDF", "BTDF", "DSF"):
+            raise ValueError("it has no line '#format: theta phi' with BSDF, BRDF, BTDF or DSF")
+        light = found.noted("incident_angle") or f"{found.noted('intheta')} {found.noted('inphi')}"
+        theta_i, phi_i = (float(angle) for angle in light.split())
+        turn = 90 - float(found.noted("upphi") or 0)
+        if not max(abs(theta_i), abs(phi_i), abs(turn)) < _MOST_TURNS:
+            raise ValueError(f"light from ({theta_i:g}, {phi_i:g}) is none")
+        channels = 3 if (found.noted("colorimetry") or "").upper() == "CIE-XYZ" else 1
+        rows = numbers(text[len(header) :])
+        if rows.size % (2 + channels):
+            raise ValueError(f"its numbers do not form lines of {2 + channels}")
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    rows = rows.reshape(-1, 2 + channels)
+    rows = rows[np.abs(rows[:, 0]) < 90]
+    if kind[1].upper() == "DSF":
+        rows[:, 2:] /= np.cos(np.radians(rows[:, :1]))
+    return _Incidence(header, theta_i, phi_i + turn, rows + np.array([0, turn, *[0] * channels]))
+
+
+def _joined(incidences: Sequence[_Incidence], name: str) -> Table:
+    """The whole set as one list."""
+    channels = {found.rows.shape[1] - 2 for found in incidences}
+    if len(channels) > 1:
+        raise ValueError("some of its files have a colour and some have none")
+    basis: Basis = "XYZ" if channels == {3} else "Y"
+    rows = np.concatenate([found.rows for found in incidences])
+    theta_i, phi_i = (
+        np.concatenate([np.full(len(found.rows), angle) for found, angle in zip(incidences, angles, strict=True)])
+        for angles in ([found.theta_i for found in incidences], [found.phi_i for found in incidences])
+    )
+    first = incidences[0]
+    symmetry = first.noted("symmetry")
+    return Table(
+        theta_i,
+        phi_i,
+        rows[:, 0],
+        rows[:, 1] - phi_i,
+        rows[:, 2:] * (WHITE if basis == "XYZ" else 1.0),
+        np.array(NOMINAL[basis]),
+        basis=basis,
+        isotropic={"isotropic": True, "anisotropic": False}.get(symmetry or ""),
+        detector=detector_of(first.noted("detector")),
+        attributes={
+            "title": title_of((first.noted("sample_name") or "").strip('"')) or Path(name).stem,
+            "origin": f"PAB-Opto file {name}",
+        },
+    )

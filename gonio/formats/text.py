@@ -1,0 +1,26 @@
+"""Numbers in text files."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from gonio.formats.lobes import Floats
+
+
+def numbers(text: str) -> Floats:
+    """The numbers of `text`, separated by white space or commas. Raises ValueError if there is anything else."""
+    if not text.strip():
+        # numpy finds a -1 in nothing but white space.
+        return np.empty(0)
+    with warnings.catch_warnings():
+        # numpy stops at the first word that is no number, and only warns.
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            values = np.fromstring(text.replace(",", " "), np.float64, sep=" ")
+        except (DeprecationWarning, ValueError):
+            raise ValueError("there is something that is not a number") from None
+    if not np.isfinite(values).all():
+        raise ValueError("there is a number that is not finite")
+    return values

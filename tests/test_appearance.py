@@ -1,0 +1,114 @@
+"""Appearance: shading obeys the law of the cosine, energy, and where things are."""
+
+import numpy as np
+import pytest
+
+from gonio import appearance
+from gonio.detectors import HemisphereGrid
+from gonio.formats.lobes import Lobes
+from gonio.measurement import tabulated
+from gonio.models import Beckmann, Lambert, Microfacet, SmithCorrelated
+from gonio.optics import Conductor, Mirror
+from gonio.sphere import angles, direction, reflect
+
+SIZE = 65
+CENTRES = (np.arange(SIZE) + 0.5) * (2 / SIZE) - 1
+X, Z = np.meshgrid(CENTRES, -CENTRES)
+INSIDE = X**2 + Z**2 < 1
+NORMALS = np.stack([X, -np.sqrt(np.clip(1 - X**2 - Z**2, 0, None)), Z], axis=-1)
+GOLD = Microfacet(distribution=Beckmann(0.3), masking=SmithCorrelated(), material=Conductor("Au"))
+
+
+def test_a_diffuse_ball_shows_the_cosine():
+    image = appearance.sphere(Lambert(reflectance=0.6), SIZE, irradiance=np.pi, sky=None)
+    lamp = np.array(appearance.LAMP) / np.linalg.norm(appearance.LAMP)
+    expected = 0.6 * np.clip(NORMALS @ lamp, 0, None)
+    well_inside = X**2 + Z**2 < 0.99
+    np.testing.assert_allclose(image[well_inside], np.repeat(expected[well_inside][:, None], 3, axis=1), atol=1e-9)
+    assert np.isnan(image[~INSIDE]).all()
+    assert np.isfinite(image[INSIDE]).all()
+
+
+@pytest.mark.parametrize("model", [Lambert(reflectance=0.5), GOLD], ids=("diffuse", "gold"))
+def test_in_a_white_furnace_a_ball_shows_its_albedo(model):
+    """Radiance 1 from everywhere: towards the eye goes the albedo of a lamp in the eye's place."""
+    image = appearance.sphere(model, SIZE, irradiance=0.0, sky=np.ones_like)
+    theta = np.degrees(np.arccos(-NORMALS[INSIDE][:, 1]))
+    grid = HemisphereGrid(2.0, 3.0)
+    nodes = np.arange(0.0, 90.0, 5.0)
+    lobes = appearance.coloured(model)
+    albedo = [grid.projected_solid_angles() @ lobes.average(direction(t, 0), grid) for t in nodes]
+    chosen = theta < 80
+    for channel in range(3):
+        expected = np.interp(theta[chosen], nodes, np.array(albedo)[:, channel])
+        np.testing.assert_allclose(image[INSIDE][chosen, channel], expected, rtol=0.02)
+
+
+def test_the_highlight_is_where_a_mirror_would_show_the_lamp():
+    image = appearance.sphere(GOLD, SIZE, sky=None)
+    row, column = np.unravel_index(np.nan_to_num(image[..., 0]).argmax(), (SIZE, SIZE))
+    lamp = np.array(appearance.LAMP) / np.linalg.norm(appearance.LAMP)
+    half = lamp - np.array([0.0, 1.0, 0.0])
+    half /= np.linalg.norm(half)
+    assert (X[row, column], Z[row, column]) == pytest.approx((half[0], half[2]), abs=0.08)
+    # Gold is gold.
+    red, green, blue = image[row, column]
+    assert red > green > 1.3 * blue
+
+
+def test_the_sky_is_up():
+    image = appearance.sphere(GOLD, SIZE, irradiance=0.0)
+    top, bottom = image[8, SIZE // 2], image[-9, SIZE // 2]
+    assert top[2] > 1.5 * bottom[2]
+
+
+def test_a_measurement_looks_like_the_model_it_samples():
+    grid, theta_i, nm = HemisphereGrid(2.0, 3.0), np.arange(0.0, 86.0, 5.0), np.array([450.0, 550.0, 650.0])
+    table = np.stack([[GOLD.average(direction(t, 0), grid, nm).reshape(*grid.shape, 3)] for t in theta_i])
+    known = tabulated(table, grid, theta_i, 0.0, nm, attributes={"isotropic": 1})
+    ours, theirs = appearance.sphere(known, SIZE), appearance.sphere(GOLD, SIZE)
+    inner = X**2 + Z**2 < 0.95
+    np.testing.assert_allclose(ours[inner], theirs[inner], rtol=0.05, atol=0.01)
+
+
+def brushed(wi, wo):
+    """Light that is smeared across the grain: normals leave x alone more than y."""
+    half = wi + wo
+    half = half / np.linalg.norm(half, axis=-1, keepdims=True)
+    return np.exp(-60 * half[:, 0] ** 2 - 3 * half[:, 1] ** 2)[:, None]
+
+
+def test_brushed_balls_have_streaks_across_their_grain():
+    lobes = Lobes(brushed, np.array([550.0]), np.array([0.0]), np.arange(0.0, 360.0, 30.0), isotropic=False)
+    image = appearance.sphere(lobes, SIZE, lamp=(0.0, -1.0, 0.0), sky=None)[..., 1]
+    bright = np.nan_to_num(image) > 0.5 * np.nanmax(image)
+    rows, columns = np.nonzero(bright)
+    # x runs along circles of latitude: facets tilt along meridians, and the streak is upright.
+    assert rows.std() > 2 * columns.std()
+
+
+def test_a_plate_glows_where_its_mirror_would():
+    image = appearance.plate(GOLD, size=(61, 71), lamp_theta=60.0)
+    row, column = np.unravel_index(image[..., 0].argmax(), image.shape[:2])
+    assert column == 35
+    theta = np.linspace(85.0, 25.0, 61)[row]
+    # Rough lobes peak beyond the mirror direction.
+    assert theta >= 60
+    assert angles(reflect(direction(60, 90), [0, 0, 1.0]))[1] == pytest.approx(270)
+
+
+def test_exposure_is_shared_and_white_is_white():
+    dim, bright = np.full((4, 4, 3), 0.25), np.full((4, 4, 3), 1.0)
+    bright[0, 0] = np.nan
+    a, b = appearance.exposed(dim, bright)
+    assert b[1, 1].tolist() == [255] * 4
+    assert b[0, 0].tolist() == [0] * 4
+    assert a[0, 0, 0] == pytest.approx(255 * (1.055 * 0.25 ** (1 / 2.4) - 0.055), abs=1)
+    assert appearance.exposed(dim, white=0.25)[0][0, 0, 0] == 255
+
+
+def test_a_lossless_mirror_of_facets_loses_little():
+    """Single scattering of a smooth lossless metal: nearly the whole furnace comes back."""
+    model = Microfacet(distribution=Beckmann(0.2), masking=SmithCorrelated(), material=Mirror())
+    image = appearance.sphere(model, 33, irradiance=0.0, sky=np.ones_like)
+    assert image[16, 16].tolist() == pytest.approx([1.0] * 3, rel=0.02)
