@@ -48,6 +48,9 @@ SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 
 BELOW_HORIZON = -1.0
 
+LARGEST = 1e18
+"""Stored values beyond are damage, and not known."""
+
 _CORNERS = tuple(itertools.product((0.0, 1.0), repeat=3))
 """Places in bins that reach above the horizon with a corner only, as shares of their widths."""
 
@@ -173,8 +176,8 @@ def _load(path: Path) -> Floats:
         if size != expected:
             raise ValueError(f"{path}: a damaged MERL file: {size} bytes instead of {expected}")
         planes = np.fromfile(file, "<f8").reshape(3, *shape)
-    known = (planes >= 0).all(axis=0) & np.isfinite(planes).all(axis=0)
-    return np.where(known[..., None], np.moveaxis(planes, 0, -1) * SCALE, np.nan)
+    known = ((planes >= 0) & (planes < LARGEST)).all(axis=0)
+    return np.where(known, planes, np.nan).transpose(1, 2, 3, 0) * SCALE
 
 
 def bin_of(wi: Vectors, wo: Vectors, phi_bins: int = BINS[2]) -> tuple[NDArray[np.intp], ...]:

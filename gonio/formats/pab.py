@@ -28,8 +28,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gonio.colour import xyz_of_rgb
 from gonio.formats.lobes import NOMINAL, Basis, Floats, Lobes
+from gonio.formats.radiance import WHITE
 from gonio.formats.table import Table, decimal, detector_of, incidences, title_of
 from gonio.formats.text import numbers
 from gonio.measurement import Measurement
@@ -39,9 +39,6 @@ LARGEST = 1 << 30
 
 _MOST_TURNS = 1e6
 """Degrees that an angle may have: beyond, rounding turns it into any other."""
-
-WHITE = xyz_of_rgb().sum(axis=1)
-"""X, Y and Z of a neutral surface with Y = 1 here; all 1 in the files."""
 
 
 def write(lobes: Lobes, path: Path) -> Sequence[str]:
@@ -106,16 +103,13 @@ def read(path: Path) -> Lobes:
     """
     try:
         text = _text(path)
-        if _FORMAT.search(text):
-            found = [_incidence(path.name, text)]
-        else:
-            found = [_incidence(name, _text(path.parent / name)) for name in _listed(path, text)]
-        return _joined(found, path.name).lobes()
+        names = [path.name] if _FORMAT.search(text) else _listed(path, text)
+        return _joined([_incidence(path.parent / name) for name in names], path.name).lobes()
     except (ValueError, OSError) as error:
         raise ValueError(f"{path}: neither a PAB-Opto file nor a list of such files: {title_of(error)}") from None
 
 
-_FORMAT = re.compile(r"^#\s*format:\s*theta\s+phi\s+(\S+)", re.MULTILINE)
+_FORMAT = re.compile(r"^#[ \t]*format:[ \t]*theta[ \t]+phi[ \t]+(\S+)", re.MULTILINE)
 
 
 def _text(path: Path) -> str:
@@ -148,36 +142,54 @@ class _Incidence:
     rows: Floats
     """(n, 2 + channels): theta_o and phi_o in degrees, values in 1/sr."""
 
-    def noted(self, word: str) -> str | None:
-        """The text behind a word of the header."""
-        found = re.search(rf"^#\s*{word}:?[ \t]+(.*?)\s*$", self.header, re.MULTILINE)
-        return found[1] if found else None
 
-
-def _incidence(name: str, text: str) -> _Incidence:
+def _incidence(path: Path) -> _Incidence:
     """The numbers of a file, azimuths from +x."""
-    end = re.search(r"^(?!#)", text, re.MULTILINE)
-    header = text[: end.start()] if end else text
+    text = _text(path)
     try:
-        kind, found = _FORMAT.search(header), _Incidence(header, 0.0, 0.0, np.empty((0, 3)))
-        if kind is None or kind[1].upper() not in ("BSDF", "BRDF", "BTDF", "DSF"):
-            raise ValueError("it has no line '#format: theta phi' with BSDF, BRDF, BTDF or DSF")
-        light = found.noted("incident_angle") or f"{found.noted('intheta')} {found.noted('inphi')}"
-        theta_i, phi_i = (float(angle) for angle in light.split())
-        turn = 90 - float(found.noted("upphi") or 0)
-        if not max(abs(theta_i), abs(phi_i), abs(turn)) < _MOST_TURNS:
-            raise ValueError(f"light from ({theta_i:g}, {phi_i:g}) is none")
-        channels = 3 if (found.noted("colorimetry") or "").upper() == "CIE-XYZ" else 1
-        rows = numbers(text[len(header) :])
-        if rows.size % (2 + channels):
-            raise ValueError(f"its numbers do not form lines of {2 + channels}")
+        end = re.search(r"^(?!#)", text, re.MULTILINE)
+        header = text[: end.start()] if end else text
+        rows = _rows(header, text[len(header) :])
+        theta_i, phi_i, turn = _light(header)
+        rows[:, 1] += turn
+        return _Incidence(header, theta_i, phi_i + turn, rows)
     except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
-    rows = rows.reshape(-1, 2 + channels)
+        raise ValueError(f"{path.name}: {error}") from None
+
+
+def _noted(header: str, word: str) -> str | None:
+    """The text behind a word of the header."""
+    found = re.search(rf"^#[ \t]*{word}:?[ \t]+(.*)$", header, re.MULTILINE)
+    return found[1].strip() if found else None
+
+
+def _light(header: str) -> tuple[float, float, float]:
+    """theta_i and phi_i, and by how much azimuths have to be turned to count from +x, degrees."""
+    light = _noted(header, "incident_angle") or f"{_noted(header, 'intheta')} {_noted(header, 'inphi')}"
+    try:
+        theta_i, phi_i = (float(angle) for angle in light.split())
+        turn = 90 - float(_noted(header, "upphi") or 0)
+    except ValueError:
+        raise ValueError("it has no lines #intheta, #inphi and #upphi with an angle each") from None
+    if not max(abs(theta_i), abs(phi_i), abs(turn)) < _MOST_TURNS:
+        raise ValueError(f"light from ({theta_i:g}, {phi_i:g}) is none")
+    return theta_i, phi_i, turn
+
+
+def _rows(header: str, body: str) -> Floats:
+    """theta_o, phi_o (not turned yet) and values in 1/sr of the directions above the horizon."""
+    kind = _FORMAT.search(header)
+    if kind is None or kind[1].upper() not in ("BSDF", "BRDF", "BTDF", "DSF"):
+        raise ValueError("it has no line '#format: theta phi' with BSDF, BRDF, BTDF or DSF")
+    columns = 5 if (_noted(header, "colorimetry") or "").upper() == "CIE-XYZ" else 3
+    values = numbers(body)
+    if values.size % columns:
+        raise ValueError(f"its numbers do not form lines of {columns}")
+    rows = values.reshape(-1, columns)
     rows = rows[np.abs(rows[:, 0]) < 90]
     if kind[1].upper() == "DSF":
         rows[:, 2:] /= np.cos(np.radians(rows[:, :1]))
-    return _Incidence(header, theta_i, phi_i + turn, rows + np.array([0, turn, *[0] * channels]))
+    return rows
 
 
 def _joined(incidences: Sequence[_Incidence], name: str) -> Table:
@@ -191,8 +203,7 @@ def _joined(incidences: Sequence[_Incidence], name: str) -> Table:
         np.concatenate([np.full(len(found.rows), angle) for found, angle in zip(incidences, angles, strict=True)])
         for angles in ([found.theta_i for found in incidences], [found.phi_i for found in incidences])
     )
-    first = incidences[0]
-    symmetry = first.noted("symmetry")
+    header = incidences[0].header
     return Table(
         theta_i,
         phi_i,
@@ -201,10 +212,10 @@ def _joined(incidences: Sequence[_Incidence], name: str) -> Table:
         rows[:, 2:] * (WHITE if basis == "XYZ" else 1.0),
         np.array(NOMINAL[basis]),
         basis=basis,
-        isotropic={"isotropic": True, "anisotropic": False}.get(symmetry or ""),
-        detector=detector_of(first.noted("detector")),
+        isotropic={"isotropic": True, "anisotropic": False}.get(_noted(header, "symmetry") or ""),
+        detector=detector_of(_noted(header, "detector")),
         attributes={
-            "title": title_of((first.noted("sample_name") or "").strip('"')) or Path(name).stem,
+            "title": title_of((_noted(header, "sample_name") or "").strip('"')) or Path(name).stem,
             "origin": f"PAB-Opto file {name}",
         },
     )

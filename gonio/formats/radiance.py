@@ -49,7 +49,7 @@ _MARKUP = 50_000
 """Most tags and attributes: real files have some hundred around their numbers."""
 
 WHITE = xyz_of_rgb().sum(axis=1)
-"""X, Y and Z of a neutral surface with Y = 1 here; all 1 in the file."""
+"""X, Y and Z of a neutral surface with Y = 1 here; all 1 in the files of Radiance."""
 
 
 def write(lobes: Lobes, path: Path, basis: Variant = "klems-full") -> Sequence[str]:
@@ -239,9 +239,12 @@ def _bases(layer: ET.Element) -> dict[str, klems.AngleBasis]:
     for definition in layer.findall("{*}DataDefinition/{*}AngleBasis"):
         name = definition.findtext("{*}AngleBasisName", "").strip()
         rings = definition.findall("{*}AngleBasisBlock")
-        counts = tuple(int(ring.findtext("{*}nPhis", "")) for ring in rings)
-        upper = tuple(float(ring.findtext("{*}ThetaBounds/{*}UpperTheta", "")) for ring in rings)
-        if not rings or not all(0 < n < 1000 for n in counts) or not (np.diff((0.0, *upper, 90.001)) > 0).all():
+        try:
+            counts = tuple(int(ring.findtext("{*}nPhis", "")) for ring in rings)
+            upper = tuple(float(ring.findtext("{*}ThetaBounds/{*}UpperTheta", "")) for ring in rings)
+        except ValueError:
+            counts = upper = ()
+        if not counts or not all(0 < n < 1000 for n in counts) or not (np.diff((0.0, *upper, 90.001)) > 0).all():
             raise ValueError(f"its angle basis {name!r} does not consist of ascending rings up to 90 degrees")
         bases[name.lower()] = klems.AngleBasis(name, (0.0, *upper), counts)
     return bases
@@ -310,6 +313,7 @@ def _tree(blocks: Mapping[str, ET.Element], rank: int) -> Lobes:
 
 def _xyz(y: Floats, u: Floats, v: Floats) -> Floats:
     """X, Y and Z (n, 3) of a luminance and chromaticities."""
-    v = np.where(v > 0, v, 9 / 19)
+    # A tree that is damaged, or that Radiance has left empty, has chromaticities that are none.
+    v, u = np.where(v > 1e-3, v, 9 / 19), np.minimum(u, 1.0)
     x, z = 9 * u / (4 * v), (12 - 3 * u - 20 * v) / (4 * v)
     return np.asarray(y[:, None] * np.stack([x, np.ones_like(x), np.maximum(z, 0.0)], axis=-1) * WHITE)

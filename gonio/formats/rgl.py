@@ -164,10 +164,10 @@ class Warp:
 
     @classmethod
     def of(cls, density: NDArray[np.floating]) -> Self:
-        """From a density of any scale. Raises ValueError if a slice is negative, not finite, or 0 everywhere."""
+        """From a density of any scale. Raises ValueError if a slice is negative, or 0 everywhere."""
         values = np.asarray(density, np.float64)
-        if not (np.isfinite(values).all() and (values >= 0).all()):
-            raise ValueError("vndf must be finite and not negative")
+        if not (values >= 0).all():
+            raise ValueError("vndf must not be negative")
         along, total = np.zeros_like(values), np.zeros(values.shape[:2])
         np.cumsum((values[..., 1:] + values[..., :-1]) / (2 * (values.shape[2] - 1)), axis=2, out=along[..., 1:])
         ends = along[..., -1]
@@ -365,7 +365,10 @@ def write(lobes: Lobes, path: Path, colour: bool) -> Sequence[str]:
     theta_i, phi_i = _incidences(lobes)
     count = _count(len(theta_i) * len(phi_i), len(lobes.wavelengths))
     nodes = Nodes.around(_estimated_ndf(lobes), theta_i, phi_i, count)
-    tables, notes = _tables(lobes, nodes)
+    # The last azimuth is the first one again.
+    azimuths = max(1, len(phi_i) - 1)
+    answers = [_answer(lobes, nodes.slice(p, t)) for p in range(azimuths) for t in range(len(theta_i))]
+    around = answers if lobes.isotropic else [*answers, *answers[: len(theta_i)]]
     grid = len(phi_i), len(theta_i)
     fields: dict[str, NDArray[Any]] = {
         "description": np.frombuffer(f"{lobes.title} (written by gonio)".encode(), np.uint8),
@@ -374,15 +377,17 @@ def write(lobes: Lobes, path: Path, colour: bool) -> Sequence[str]:
         "ndf": nodes.ndf,
         "sigma": nodes.sigma,
         "vndf": nodes.warp.density.astype(np.float32).reshape(*grid, COLUMNS, COLUMNS),
-        "luminance": tables.luminance,
+        "luminance": np.stack([answer.luminance for answer in around]).reshape(*grid, count, count),
         **({} if colour else {"wavelengths": lobes.wavelengths[order].astype(np.float32)}),
-        "rgb" if colour else "spectra": tables.values[:, :, order],
+        "rgb" if colour else "spectra": np.stack([answer.values[order] for answer in around]).reshape(
+            *grid, -1, count, count
+        ),
         "jacobian": np.ones(1, np.uint8),
-        "valid": np.packbits(tables.valid),
+        "valid": np.packbits([answer.valid for answer in around]),
     }
     with replacing(path) as scratch, scratch.open("wb") as file:
         _store(file, fields)
-    return [*_gaps(lobes), *notes]
+    return [*_gaps(lobes), *_bent(answers)]
 
 
 def _count(slices: int, channels: int) -> int:
@@ -416,41 +421,48 @@ def _spaced(known: Floats, low: float, high: float, step: float) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Tables:
-    """What stands at the nodes."""
+class Answer:
+    """What stands at the nodes of a slice."""
 
     values: Singles
-    """(phi_i, theta_i, channel, y, x)."""
+    """(channel, y, x)."""
     luminance: Singles
-    """(phi_i, theta_i, y, x)."""
+    """(y, x)."""
+    above: NDArray[np.bool_]
+    """(y, x): above the horizon."""
     valid: NDArray[np.bool_]
-    """(phi_i, theta_i, y, x): above the horizon, and something is known."""
+    """(y, x): above it, and something is known."""
+    negative: int
+    """Directions with a value below 0 in some channel."""
 
 
-def _tables(lobes: Lobes, nodes: Nodes) -> tuple[Tables, list[str]]:
-    """The values of `lobes` at `nodes`, and what had to be bent."""
-    # The last azimuth is the first one again.
-    azimuths = max(1, len(nodes.phi_i) - 1)
-    shape, n = (azimuths, len(nodes.theta_i)), nodes.count
-    values = np.zeros((*shape, n, n, len(lobes.wavelengths)), np.float32)
-    luminance, valid = np.zeros((*shape, n, n), np.float32), np.zeros((*shape, n, n), bool)
-    above = negative = 0
-    for at in np.ndindex(shape):
-        one = nodes.slice(*at)
-        up = one.wo[..., 2] > 0
-        f = lobes.evaluate(np.broadcast_to(one.wi, one.wo[up].shape), one.wo[up])
-        valid[at][up] = np.isfinite(f).all(axis=1)
-        above, negative = above + len(f), negative + int((f < 0).any(axis=1).sum())
-        power = np.zeros((n, n, f.shape[1]))
-        power[up] = np.maximum(f, 0.0) * one.wo[up][:, 2:]
-        power[~valid[at]] = 0.0
-        dense = power.mean(axis=2) * one.sampled
-        luminance[at] = np.maximum(dense, max(DIM * float(dense.max()), 1e-30))
-        values[at] = _without_gaps(power * one.stored[..., None], up & ~valid[at], valid[at])
-    unknown = above - int(valid.sum())
-    around = range(azimuths + 1) if azimuths > 1 else range(1)
-    tables = (np.take(table, around, axis=0, mode="wrap") for table in (np.moveaxis(values, -1, 2), luminance, valid))
-    return Tables(*tables), [
+def _answer(lobes: Lobes, one: Slice) -> Answer:
+    """`lobes` in the directions of a slice."""
+    above = one.wo[..., 2] > 0
+    f = lobes.evaluate(np.broadcast_to(one.wi, one.wo[above].shape), one.wo[above])
+    known = np.isfinite(f).all(axis=1)
+    valid = above.copy()
+    valid[above] = known
+    power = np.zeros((*above.shape, f.shape[1]))
+    power[valid] = np.maximum(f[known], 0.0) * one.wo[valid][:, 2:]
+    dense = power.mean(axis=2) * one.sampled
+    return Answer(
+        values=np.moveaxis(_without_gaps(power * one.stored[..., None], above & ~valid, valid), -1, 0).astype(
+            np.float32
+        ),
+        luminance=np.maximum(dense, max(DIM * float(dense.max()), 1e-30)).astype(np.float32),
+        above=above,
+        valid=valid,
+        negative=int((f[known] < 0).any(axis=1).sum()),
+    )
+
+
+def _bent(answers: Sequence[Answer]) -> list[str]:
+    """Sentences about values that could not be stored as they are."""
+    above = sum(int(answer.above.sum()) for answer in answers)
+    unknown = above - sum(int(answer.valid.sum()) for answer in answers)
+    negative = sum(answer.negative for answer in answers)
+    return [
         *([f"{100 * negative / above:.2g} % of the values were negative: they hold 0"] if negative else []),
         *([f"{100 * unknown / above:.2g} % of the values are not known: they hold the nearest"] if unknown else []),
     ]
@@ -654,6 +666,8 @@ def _interpolant(fields: Mapping[str, NDArray[Any]]) -> Interpolant:
             raise ValueError(f"it has no field {field!r}")
         if fields[field].ndim != count or not fields[field].size or fields[field].dtype != kind:
             raise ValueError(f"its field {field!r} is {fields[field].dtype} {list(fields[field].shape)}")
+        if not np.isfinite(fields[field]).all():
+            raise ValueError(f"its field {field!r} holds numbers that are not finite")
     theta_i, phi_i, ndf, sigma = (fields[field].astype(np.float64) for field in ("theta_i", "phi_i", "ndf", "sigma"))
     vndf, values = fields["vndf"], fields[name]
     grid = len(phi_i), len(theta_i)
@@ -666,10 +680,8 @@ def _interpolant(fields: Mapping[str, NDArray[Any]]) -> Interpolant:
     _insist_on_order(phi_i, "phi_i", -math.pi, math.pi)
     if name == "spectra":
         _insist_on_order(fields["wavelengths"], name, 0.0, math.inf)
-    if not (np.isfinite(ndf).all() and np.isfinite(sigma).all() and (ndf >= 0).all() and (sigma > 0).all()):
-        raise ValueError("ndf and sigma must be finite, and above 0")
-    if np.isinf(values).any():
-        raise ValueError(f"{name} holds infinities")
+    if not ((ndf >= 0).all() and (sigma > 0).all()):
+        raise ValueError("ndf must not be negative, and sigma above 0")
     interpolant = Interpolant(
         theta_i=theta_i, phi_i=phi_i, ndf=ndf, sigma=sigma, warp=Warp.of(vndf.reshape(-1, *vndf.shape[2:])),
         values=np.ascontiguousarray(np.moveaxis(values, 2, -1)).reshape(-1, *values.shape[3:], channels),
@@ -683,7 +695,7 @@ def _interpolant(fields: Mapping[str, NDArray[Any]]) -> Interpolant:
 def _insist_on_order(nodes: NDArray[np.floating], name: str, low: float, high: float) -> None:
     slack = 1e-3
     inside = (nodes >= low - slack) & (nodes <= high + slack)
-    if not (inside.all() and np.isfinite(nodes).all() and (np.diff(nodes) > 0).all()):
+    if not (inside.all() and (np.diff(nodes) > 0).all()):
         raise ValueError(f"{name} must rise between {low:.4g} and {high:.4g}")
 
 

@@ -71,7 +71,7 @@ def grid(lobes: Lobes, rank: int) -> Floats:
     wi = exiting(_places(cells, nodes[:, :2])) * (-1, -1, 1) if rank == 4 else _in_plane(cells, nodes[:, 0])
     result = np.zeros((*[cells] * rank, len(lobes.wavelengths)))
     # The half of rank 3 that is not used stays 0.
-    for light, out in zip(wi, result.reshape(-1, *wo.shape[:1], len(lobes.wavelengths)), strict=False):
+    for light, out in zip(wi, result.reshape(-1, len(wo), len(lobes.wavelengths)), strict=False):
         values = lobes.evaluate(np.broadcast_to(light, wo.shape).reshape(-1, 3), wo.reshape(-1, 3))
         out[:] = mean_of_known(values.reshape(*wo.shape[:2], -1))
     return result

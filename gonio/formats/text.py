@@ -8,6 +8,9 @@ import numpy as np
 
 from gonio.formats.lobes import Floats
 
+LARGEST = 1e15
+"""Of the numbers that are read: more is damage, and its sums overflow."""
+
 
 def numbers(text: str) -> Floats:
     """The numbers of `text`, separated by white space or commas. Raises ValueError if there is anything else."""
@@ -21,6 +24,6 @@ def numbers(text: str) -> Floats:
             values = np.fromstring(text.replace(",", " "), np.float64, sep=" ")
         except (DeprecationWarning, ValueError):
             raise ValueError("there is something that is not a number") from None
-    if not np.isfinite(values).all():
-        raise ValueError("there is a number that is not finite")
+    if not (np.abs(values) < LARGEST).all():
+        raise ValueError(f"there is a number that is not finite, or beyond {LARGEST:g}")
     return values
