@@ -55,22 +55,26 @@ def pairs():  # type: ignore[no-untyped-def]
 
 
 def by_mitsuba(path, wi, wo, spectral):  # type: ignore[no-untyped-def]
+    """What Mitsuba finds, and the model, (n, 3) each."""
     found = rgl.theirs(path, wi, wo, [*NM, NM[-1]] if spectral else None)[:, :3] / wo[:, 2:]
     return found, truth(wi, wo) if spectral else truth(wi, wo) @ rgb_weights(NM).T
 
 
 def by_radiance(path, wi, wo):  # type: ignore[no-untyped-def]
+    """What Radiance finds, and the model, (n, 1) each."""
     found, _ = radiance.query(path, wi, wo)
     return found[:, 1:2], truth(wi, wo) @ xyz_weights(NM)[1:2].T
 
 
 def by_merl_lookup(path, wi, wo):  # type: ignore[no-untyped-def]
+    """The bins of a MERL file, and the model, (n, 3) each."""
     content = path.read_bytes()
     found = np.array([merl.stored(content, a, b) for a, b in zip(wi.tolist(), wo.tolist(), strict=True)])
     return found * merl.SCALES, truth(wi, wo) @ rgb_weights(NM).T
 
 
 def by_zemax_lookup(path, wi, wo):  # type: ignore[no-untyped-def]
+    """What a Zemax table says, and the model, (n, 1) each."""
     table = text.Zemax(path)
     channel = "TristimulusY" if "TristimulusY" in table.channels else "Monochrome"
     places = zip(*angles(wi), *angles(wo), strict=True)
@@ -89,6 +93,7 @@ def entries(rows):  # type: ignore[no-untyped-def]
 
 
 def by_openexr(path):  # type: ignore[no-untyped-def]
+    """All texels of one wavelength, and the bins, (n, 1) each."""
     part = OpenEXR.File(str(path), separate_channels=True).parts
     images = {p.name(): p.channels for p in part if "error" not in p.name()}
     found = np.stack([images[f"theta_i{t:05.1f}_phi_i000.0"]["T.550nm"].pixels for t in THETA_I])

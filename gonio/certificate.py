@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from gonio.compare import ENOUGH_HITS
-from gonio.detectors import Apertures, HemisphereGrid
+from gonio.detectors import Apertures, HemisphereGrid, Klems
 from gonio.measurement import FATES, Measurement, load
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror, fresnel_conductor
 from gonio.tally import UNIT, Wide
@@ -595,7 +595,8 @@ def _realisations(measurement: Measurement, sums: _Sums) -> Check:
 
 def _completeness(measurement: Measurement, sums: _Sums) -> Check:
     """Whether the measurement ran to its end."""
-    count, wanted = len(sums.paths), sums.incidences
+    patches = measurement.detector.bins if isinstance(measurement.detector, Klems) else None
+    count, wanted = len(sums.paths), patches or sums.incidences
     found = f"{count} of {wanted} incidences were measured{', then it was stopped' if measurement.interrupted else ''}"
     advice = "what is there is sound; run it again to the end for the rest"
     sound = count == wanted and not measurement.interrupted

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.detectors import Detector, HemisphereGrid
+from gonio.detectors import Detector, HemisphereGrid, Klems
 from gonio.measurement import Measurement
 from gonio.models import Model
 from gonio.models.averages import TOLERANCE, Estimate, RandomWalk
@@ -401,11 +401,16 @@ def compare(measurement: Measurement, model: Model, floor: float = FLOOR) -> Ver
     a whole: "differs" needs more than realisation noise could give even if it were the same in all bins (97.5 % limit);
     between the two it is "unclear", and more realisations would tell.
 
-    Raises ValueError if the measurement holds no incidence or not the model's order, or if the model cannot be averaged
-    over its bins.
+    Raises ValueError if the measurement holds no incidence or not the model's order, if its light came from whole
+    patches (`Klems`), or if the model cannot be averaged over its bins.
     """
     import xarray as xr
 
+    if isinstance(measurement.detector, Klems):
+        raise ValueError(
+            "The light of this measurement came from Klems's whole patches, over which models are not averaged: "
+            "measure with the detector HemisphereGrid to compare them."
+        )
     data, there, order = measurement.dataset, np.nonzero(measurement.measured), order_of(measurement, model)
     if not there[0].size:
         raise ValueError("The measurement holds no measured incidence to compare with: run it again to the end.")

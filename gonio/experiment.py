@@ -16,6 +16,7 @@ import tomli_w
 from pydantic import Field, TypeAdapter, ValidationError, field_validator, model_validator
 
 from gonio.certificate import certify
+from gonio.detectors import Klems
 from gonio.goniometer import Goniometer, Progress
 from gonio.measurement import Measurement
 from gonio.models import Model, matching
@@ -217,12 +218,13 @@ def models_for(measurement: Measurement, names: Iterable[str] | None = None, to_
 
     A name may have settings, "cook-torrance m=0.3 k_d=0.1", or be a TOML file with tables [[model]] that have a `kind`
     and settings. What is not said is the specimen's; `to_fit` fills in what it does not tell, too. A measurement that
-    comes from elsewhere does not tell roughness and material: no model fits by itself. Raises `InputError` with a
+    comes from elsewhere does not tell roughness and material, and no model speaks of light from Klems's patches: none
+    fits by itself. Raises `InputError` with a
     sentence for each name that is none, or that cannot describe the specimen.
     """
     specimen = Specimen(measurement.surface_statistics, measurement.material, measurement.surface)
     if names is None:
-        if specimen.material is None:
+        if specimen.material is None or isinstance(measurement.detector, Klems):
             return ()
         return matching(specimen.statistics, specimen.material, specimen.surface)
     models: list[Model] = []

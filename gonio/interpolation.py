@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.detectors import HemisphereGrid
-from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z
+from gonio.sphere import Vectors, angles, direction, half_vector, reflect
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -68,10 +68,9 @@ class Interpolation:
         here = _cosines(wi, wo)
         value = np.zeros((*theta.shape, self.table.shape[-1]))
         for row, column, share in self._neighbours(theta, phi, hold):
-            azimuth = phi if self.isotropic else self.phi_i[column]
-            measured_wi = direction(self.theta_i[row], azimuth)
-            # The light's own change of azimuth turns the half vector with it.
-            moved = reflect(measured_wi, rotate_z(wh, azimuth - phi))
+            # The facets of an isotropic specimen are the same for all azimuths; those of others stay where they are.
+            measured_wi = direction(self.theta_i[row], phi if self.isotropic else self.phi_i[column])
+            moved = reflect(measured_wi, wh)
             moved = np.where((moved[..., 2] > 0)[..., None], moved, wo)
             weight = share * (_cosines(measured_wi, moved) / here) ** exponent
             value += weight[..., None] * self._read(row, column, measured_wi, moved)

@@ -228,7 +228,7 @@ class Measurement:
     def _incidence_at(self, theta: float, phi: float) -> tuple[int, int] | None:
         rows = np.flatnonzero(np.abs(self.dataset["theta_i"].values - theta) < 1e-6)
         apart = np.abs(self.dataset["phi_i"].values - phi) % 360
-        columns = np.flatnonzero((np.minimum(apart, 360 - apart) < 1e-6) | (theta < 1e-6))
+        columns = np.flatnonzero((np.minimum(apart, 360 - apart) < 1e-6) | self.isotropic)
         return (int(rows[0]), int(columns[0])) if rows.size and columns.size else None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from gonio.models import Model
     from gonio.validate import Row
 
+MOST_ROWS = 40
+"""Of more incidences than that, tables show one for each theta_i."""
+
 _COLOURS = {"passed": "green", "warning": "yellow", "failed": "bold red", "FAILS": "bold red"}
 """What stands out in a list of judgements."""
 
@@ -30,13 +33,27 @@ def albedo(measurement: Measurement) -> Table:
     count = min(len(wavelengths), 3)
     chosen = [round(i * (len(wavelengths) - 1) / max(count - 1, 1)) for i in range(count)]
     table = _of_incidences(*(measurement.channels[i] for i in chosen))
-    for theta, phi in measurement.incidences():
+    for theta, phi in _some(measurement):
         here = dataset.sel(theta_i=theta, phi_i=phi)
         values, errors = here["albedo"].values, here["standard_error"].values
         table.add_row(_incidence(theta, phi), *(_with_error(values[i], errors[i]) for i in chosen))
-    if count < len(wavelengths):
-        table.caption = f"{count} of {len(wavelengths)} wavelengths; all are in measurement.nc"
+    table.caption = "; ".join(
+        f"{shown} of {whole} {things}"
+        for shown, whole, things in (
+            (count, len(wavelengths), "wavelengths"),
+            (table.row_count, int(measurement.measured.sum()), "incidences"),
+        )
+        if shown < whole
+    )
+    table.caption = f"{table.caption}; all are in measurement.nc" if table.caption else None
     return table
+
+
+def _some(measurement: Measurement) -> Iterator[tuple[float, float]]:
+    """The incidences, (theta_i, phi_i) in degrees; of too many, one for each theta_i."""
+    incidences = list(measurement.incidences())
+    first = {theta: (theta, phi) for theta, phi in reversed(incidences)}
+    yield from incidences if len(incidences) <= MOST_ROWS else reversed(first.values())
 
 
 def energy(measurement: Measurement) -> Table | None:
@@ -47,7 +64,7 @@ def energy(measurement: Measurement) -> Table | None:
     orders = reflected["order"].values[1:]
     hits = (f"{order[:-1]} or more" if order.endswith("+") else order for order in orders)
     table = _of_incidences(*(f"{many} hit{'s' * (many != '1')}" for many in hits), "absorbed", "lost or truncated")
-    for theta, phi in measurement.incidences():
+    for theta, phi in _some(measurement):
         here, fate = reflected.sel(theta_i=theta, phi_i=phi), ledger.sel(theta_i=theta, phi_i=phi)
         total = float(here.sel(order="all")) or 1.0
         shares = [float(here.sel(order=order)) / total for order in orders]

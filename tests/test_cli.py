@@ -23,6 +23,7 @@ from gonio.certificate import Certificate, Check
 from gonio.cli import main
 from gonio.experiment import Experiment
 from gonio.goniometer import Goniometer
+from gonio.sphere import direction
 
 TOY = """
 title = "A toy"
@@ -40,6 +41,12 @@ theta_i = [0.0, 30.0]
 paths = 400
 replicates = 4
 detector = {kind = "HemisphereGrid", theta_step = 10.0, phi_step = 20.0}
+"""
+
+KLEMS = """[goniometer]
+paths = 4000
+replicates = 4
+detector = {kind = "Klems", basis = "quarter"}
 """
 
 Gonio = Callable[..., tuple[int, str, str]]
@@ -492,7 +499,7 @@ def test_what_goes_wrong_is_one_sentence(run: Gonio, tokens: str, code: int, wor
         ("fit NC --model ward --free m", 2, "'m' is no parameter of Ward that can be fitted"),
         ("fit NC --model cook-torrance --free m --free m_x", 2, "cannot be fitted together"),
         ("fit NC --model cook-torrance --theta-i 5", 2, "theta_i = 5: not measured; choose from 0, 30 degrees"),
-        ("export NC --to toy.foo", 2, "the formats are exr (.exr)"),
+        ("export NC --to toy.foo", 2, "the formats are rgl (.bsdf)"),
         ("export NC --to toy.toml/x.exr", 1, "toy.toml is a file"),
         ("plot NC -o toy.toml", 1, "is a file"),
         ("compare CUT", 2, "not a measurement that gonio wrote"),
@@ -609,3 +616,29 @@ def test_too_little_memory_is_one_sentence(run: Gonio) -> None:
     assert "GiB of memory" in err
     assert err.count("\n") == 1
     assert files() == {"toy.toml"}
+
+
+def test_klems_patches_are_measured_and_exported(run: Gonio) -> None:
+    """The toy under the patches: a table of one row a ring, no model, a sound certificate, and a matrix as measured."""
+    Path("patches.toml").write_text(Path("toy.toml").read_text().split("[goniometer]")[0] + KLEMS)
+    code, out, _ = run("run", "patches.toml", "-o", "out", "--no-pictures")
+    assert code == 0
+    assert "5 of 41 incidences" in out
+    assert "41 of 41 incidences were measured" not in out
+    code, _, err = run("compare", "out/measurement.nc", "--model", "cook-torrance")
+    assert "whole patches" in err
+    code, out, _ = run("export", "out/measurement.nc", "--to", "out/toy.xml", "--format", "klems-quarter")
+    assert code == 0
+    measured = gonio.load("out/measurement.nc")
+    written = gonio.formats.FORMATS["klems-quarter"].read(Path("out/toy.xml"))
+    theta, phi = measured.detector.directions[20]
+    lobe = measured.dataset["brdf"].sel(order="all", theta_i=theta, phi_i=phi).values
+    wo = direction(*np.array(measured.detector.directions).T)
+    found = written.evaluate(np.broadcast_to(direction(theta, phi), wo.shape), wo)
+    expected = (
+        gonio.formats.lobes.Lobes.of(measured)
+        .in_basis(written.basis)
+        .evaluate(np.broadcast_to(direction(theta, phi), wo.shape), wo)
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+    assert found[:, 0].argmax() == lobe[:, 0].argmax()

@@ -123,7 +123,7 @@ def test_exr_discs_are_pictures_from_above(tmp_path):
     green, alpha = channels["G"].pixels, channels["A"].pixels
     row, column = np.unravel_index(green.argmax(), green.shape)
     across = np.sqrt(2) * np.sin(np.radians(25)) * np.array([-np.sin(np.radians(230)), np.cos(np.radians(230))])
-    np.testing.assert_allclose([row, column], 255.5 + 256 * across, atol=1.5)
+    np.testing.assert_allclose([row, column], 179.5 + 180 * across, atol=1.5)
     assert alpha.mean() == pytest.approx(np.pi / 4, rel=1e-3)
     assert green[alpha == 0].max() == 0
     # Equal areas: the mean over the disc is the mean over solid angle.

@@ -152,7 +152,7 @@ def _name(path: Path, format: str | None) -> str:
     for name, candidate in FORMATS.items():
         if candidate.suffix == path.suffix.lower():
             return name
-    raise ValueError(f"no format has the suffix of {str(path)!r}: {_choices()}; choose one with format=")
+    raise ValueError(f"no format has the suffix of {str(path)!r}: {_choices()}; choose one with format (--format)")
 
 
 def _choices() -> str:

@@ -50,7 +50,7 @@ COMMENTS = {
         "on the circle that touches the edges. Texels are samples at their centres."
     ),
 }
-DISC = 512
+DISC = 360
 """Texels along the disc's diameter."""
 
 LARGEST = 1 << 30

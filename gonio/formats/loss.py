@@ -21,7 +21,8 @@ class Loss:
     albedo: float
     """Largest change of a directional albedo over incidences and channels, relative."""
     log_rms: float
-    """Root mean square of ln(file / source) over the bins above 1 % of the peak of their incidence and channel."""
+    """Root mean square of ln(file / source), weighted with projected solid angle, over bins above 1 % of the peak of
+    their incidence and channel."""
     largest: float
     """Largest |file / source - 1| there."""
     where: tuple[float, float, float, float]
@@ -38,55 +39,54 @@ class Loss:
         """Compare averages over the bins of `source`; its channels are turned into those of `copy`."""
         source = source.in_basis(copy.basis)
         measurement = source.measured()
-        area = source.detector.projected_solid_angles()[:, None]
+        places = list(measurement.incidences())
+        lamps = [direction(theta, phi) for theta, phi in places]
+        ours, theirs = (np.stack([lobes.average(wi, source.detector) for wi in lamps]) for lobes in (source, copy))
         errors = measurement.dataset["standard_error"].sel(order="all")
-        places, logs, noise, albedo, unknown = [], [], [], 0.0, 0
-        for theta, phi in measurement.incidences():
-            wi = direction(theta, phi)
-            ours = measurement.average(wi, source.detector)
-            theirs = copy.average(wi, source.detector)
-            bright = (ours > FLOOR * np.nanmax(ours, axis=0)) & (ours > 0)
-            both = np.isfinite(theirs) & np.isfinite(ours)
-            unknown += int((bright & ~both).sum())
-            change = (np.where(both, theirs - ours, 0.0) * area).sum(axis=0) / _positive((ours * area).sum(axis=0))
-            albedo = max(albedo, float(np.abs(change).max()))
-            # A bin that is dark in the file is as wrong as one at a tenth of the floor, not infinitely so.
-            dark = FLOOR / 10 * np.nanmax(ours, axis=0)
-            ratio = np.where(bright & both, np.log(_positive(np.maximum(theirs, dark)) / _positive(ours)), np.nan)
-            error = errors.sel(theta_i=theta, phi_i=phi).values.reshape(ours.shape)
-            noise.append((error[bright] / ours[bright]) ** 2)
-            places.append((theta, phi))
-            logs.append(ratio)
-        rms = float(np.sqrt(np.concatenate(noise).mean()))
-        return cls._of(source, places, np.array(logs), albedo, unknown, rms)
+        error = np.stack([errors.sel(theta_i=theta, phi_i=phi).values for theta, phi in places]).reshape(ours.shape)
+        area = source.detector.projected_solid_angles()[:, None]
 
-    @classmethod
-    def _of(
-        cls, source: Lobes, places: list[tuple[float, float]], logs: Floats, albedo: float, unknown: int, noise: float
-    ) -> Self:
-        """From the logarithms (incidence, bin, channel), NaN where none counts."""
-        known = np.isfinite(logs)
-        if not known.any():
-            return cls(albedo, 0.0, 0.0, (np.nan,) * 4, unknown, unknown, noise)
-        change = np.where(known, np.abs(np.expm1(logs)), -1.0)
-        incidence, place, _ = np.unravel_index(int(change.argmax()), change.shape)
+        both = np.isfinite(ours) & np.isfinite(theirs)
+        ours, known = np.nan_to_num(ours), np.where(both, theirs, 0.0)
+        change = ((known - np.where(both, ours, 0.0)) * area).sum(axis=1) / _positive((ours * area).sum(axis=1))
+        floor = FLOOR * ours.max(axis=1, keepdims=True)
+        bright = (ours > floor) & (ours > 0)
+        counts = np.where(bright & both, area, 0.0)
+        # A bin that is dark in the file is as wrong as one at a tenth of the floor, not infinitely so.
+        logs = np.log(_positive(np.maximum(known, floor / 10)) / _positive(ours))
+        off = np.where(counts > 0, np.abs(np.expm1(logs)), 0.0)
+        incidence, place, _ = np.unravel_index(int(off.argmax()), off.shape)
         ring, sector = divmod(int(place), source.detector.shape[1])
-        where = (*places[incidence], float(source.detector.theta[ring]), float(source.detector.dphi[sector]))
-        rms = float(np.sqrt(np.mean(logs[known] ** 2)))
-        return cls(albedo, rms, float(change.max()), where, int(known.sum()) + unknown, unknown, noise)
+        return cls(
+            albedo=float(np.abs(change).max()),
+            log_rms=_rms(logs, counts),
+            largest=float(off.max()),
+            where=(*places[incidence], float(source.detector.theta[ring]), float(source.detector.dphi[sector])),
+            bins=int(bright.sum()),
+            unknown=int((bright & ~both).sum()),
+            noise=_rms(error / _positive(ours), counts),
+        )
 
     def sentence(self) -> str:
         """All of it in words."""
         place = "theta_i = {:g}, phi_i = {:g}, theta_o = {:g}, dphi = {:g}".format(*self.where)
         text = (
             f"Read back, albedos change by at most {_percent(self.albedo)}, and bins above {FLOOR:.0%} of the peak by "
-            f"{_percent(self.log_rms)} (rms), at most {_percent(self.largest)} ({place})."
+            f"{_percent(self.log_rms)} (rms)"
+            + (f", at most {_percent(self.largest)} ({place})." if self.largest else ".")
         )
         if np.isfinite(self.noise):
             text += f" Their own standard errors are {_percent(self.noise)} (rms)."
         if self.unknown:
             text += f" Of {self.unknown / self.bins:.2%} of these bins the file knows nothing."
         return text
+
+
+def _rms(values: Floats, weights: Floats) -> float:
+    """Root of the weighted mean square; 0 where nothing has weight."""
+    with np.errstate(invalid="ignore"):
+        squares = np.where(weights > 0, values, 0.0) ** 2
+    return float(np.sqrt((weights * squares).sum() / max(weights.sum(), 1e-300)))
 
 
 def _positive(values: Floats) -> Floats:

@@ -26,9 +26,11 @@ all the same, by `luminance`. Between the known incidences there are as many as 
 (r = 1), because only Mitsuba knows other reductions.
 
 **What is lost.** Values below 0 of a colour; everything finer than the nodes, in lobes narrower than about 2 degrees
-first. Readers hold the first and the last theta_i beyond them. A renderer that starts at the eye takes wi for the
-viewer and wo for the light, which is the same for a reciprocal BRDF. The colour variant opens in RGB programs only, the
-spectral variant (pbrt-v4's) in spectral ones.
+first; f (not f cos) within a degree of the horizon, where nodes below it hold 0 and it comes out too large. Mitsuba
+leaves r of an isotropic file to chance, so that its rows of sigma must be equal, as ours are. Readers hold the first
+and the last theta_i beyond them. A renderer that starts at the eye takes wi for the viewer and wo for the light, which
+is the same for a reciprocal BRDF. The colour variant opens in RGB programs only, the spectral variant (pbrt-v4's) in
+spectral ones.
 
 Source: J. Dupuy and W. Jakob, An Adaptive Parameterization for Efficient Material Acquisition and Rendering, ACM
 Transactions on Graphics 37(6), 2018, doi:10.1145/3272127.3275059; https://github.com/rgl-epfl/brdf-loader.
