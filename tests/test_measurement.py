@@ -2,7 +2,10 @@
 
 import math
 import os
+import re
+import shutil
 import stat
+import subprocess
 
 import numpy as np
 import pytest
@@ -58,6 +61,20 @@ def test_a_file_gives_back_the_measurement(tmp_path, specimens):
     umask = os.umask(0)
     os.umask(umask)
     assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~umask
+
+
+def test_the_netcdf_library_itself_reads_the_file(tmp_path, specimens):
+    """Unidata's C library, not the one that wrote it: names, units, dimensions and numbers."""
+    if not (ncdump := shutil.which("ncdump")):
+        pytest.skip("ncdump is not installed (Debian: netcdf-bin)")
+    path = save(specimens[0], tmp_path / "m.nc")
+    text = subprocess.run([ncdump, "-v", "albedo", path], capture_output=True, text=True, check=True).stdout
+    assert "double brdf(order, theta_i, phi_i, theta_o, dphi, wavelength) ;" in text
+    assert 'string brdf:units = "sr-1" ;' in text
+    assert "group: sums {" in text
+    listed = re.search(r"\balbedo =\s*(.*?);", text.split("data:")[1], flags=re.S)
+    numbers = np.array(listed.group(1).split(","), np.float64)
+    np.testing.assert_allclose(numbers, specimens[0].dataset["albedo"].values.ravel(), rtol=1e-12)
 
 
 def test_a_failed_save_leaves_the_old_file(tmp_path, specimens, monkeypatch):
