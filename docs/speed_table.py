@@ -6,7 +6,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 START, END = "<!-- docs/speed_table.py -->\n", "<!-- end -->"
 HEAD = [
-    "| surface | light | gonio | embreex, every ray | embreex, rays alone | Mitsuba 3 | gonio, 16 M | Mitsuba 3, 16 M |",
+    "| surface | light | gonio | embreex, every ray | embreex, rays alone | Mitsuba 3 "
+    "| gonio, 16 M | Mitsuba 3, 16 M |",
     "| --- | --- | --- | --- | --- | --- | --- | --- |",
 ]
 

@@ -981,7 +981,7 @@ def test_one_azimuth_of_an_anisotropic_specimen_makes_no_zemax_file(tmp_path):
         ("SpectralContent Monochrome", "SpectralContent XYZ", "does not go with its 1 blocks"),
         ("5 6\n", "5 6 7\n", r"holds 14 values, expected 1 x 2 x 3 x 2"),
         ("1 2\n", "1 x\n", "not a number"),
-        ("1 2\n", "1 1e99\n", "no BRDF"),
+        ("1 2\n", "1 1e99\n", "beyond"),
         ("ScatterRadial", "Radial", "there is no ScatterRadial"),
     ],
 )

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.detectors import Klems
 from gonio.formats.lobes import Floats, Lobes
 from gonio.sphere import Vectors, angles, direction
 
@@ -68,11 +69,10 @@ class AngleBasis:
 
 
 BASES = {
-    "klems-full": AngleBasis(
-        "LBNL/Klems Full", (0, 5, 15, 25, 35, 45, 55, 65, 75, 90), (1, 8, 16, 20, 24, 24, 24, 16, 12)
-    ),
-    "klems-half": AngleBasis("LBNL/Klems Half", (0, 6.5, 19.5, 32.5, 45.5, 58.5, 71.5, 90), (1, 8, 12, 16, 20, 12, 8)),
-    "klems-quarter": AngleBasis("LBNL/Klems Quarter", (0, 9, 27, 45, 63, 90), (1, 8, 12, 12, 8)),
+    f"klems-{basis.basis}": AngleBasis(
+        f"LBNL/Klems {basis.basis.title()}", tuple(basis.theta_edges.tolist()), tuple(basis.sectors.tolist())
+    )
+    for basis in (Klems(basis="full"), Klems(basis="half"), Klems(basis="quarter"))
 }
 """The three bases that Radiance knows by name."""
 

@@ -132,9 +132,9 @@ class Table:
         theta_i, phi_i, theta_o, dphi = _upright(self.theta_i, self.phi_i, self.theta_o, self.dphi)
         isotropic = len(_nodes(phi_i[theta_i > 0])[0]) < 2 if self.isotropic is None else self.isotropic
         attributes = {**self.attributes, "isotropic": int(isotropic), "basis": self.basis}
-        errors = None if self.standard_error is None else known_values(self.standard_error)
+        errors = None if self.standard_error is None else _known_values(self.standard_error)
         table = replace(
-            self, theta_i=theta_i, phi_i=phi_i, theta_o=theta_o, dphi=dphi, brdf=known_values(self.brdf),
+            self, theta_i=theta_i, phi_i=phi_i, theta_o=theta_o, dphi=dphi, brdf=_known_values(self.brdf),
             standard_error=errors, isotropic=isotropic, attributes=attributes,
         )  # fmt: skip
         measurement = table._measurement()
@@ -215,15 +215,6 @@ def degrees(radians: ArrayLike) -> Floats:
     return np.where(np.abs(angle - whole) < SAME, whole, angle)
 
 
-def known_values(values: Floats) -> Floats:
-    """`values` in 1/sr with NaN for those that are not finite. Raises ValueError if they are absurdly large."""
-    known = np.where(np.isfinite(values), values, np.nan)
-    most = np.abs(known).max(initial=0.0, where=~np.isnan(known))
-    if most > LARGEST_BRDF:
-        raise ValueError(f"a value of {most:g} 1/sr is no BRDF")
-    return known
-
-
 def decimal(value: float) -> str:
     """The shortest decimal that reads back as `value`, never with an exponent."""
     return np.format_float_positional(value, trim="-")
@@ -269,6 +260,15 @@ def _insist_on_rows(*columns: Floats) -> None:
         raise ValueError("it holds no values")
     if not all(np.isfinite(column).all() for column in columns):
         raise ValueError("a direction or a wavelength is missing or no number")
+
+
+def _known_values(values: Floats) -> Floats:
+    """`values` in 1/sr with NaN for those that are not finite. Raises ValueError if they are absurdly large."""
+    known = np.where(np.isfinite(values), values, np.nan)
+    most = np.abs(known).max(initial=0.0, where=~np.isnan(known))
+    if most > LARGEST_BRDF:
+        raise ValueError(f"a value of {most:g} 1/sr is no BRDF")
+    return known
 
 
 def _upright(theta_i: Floats, phi_i: Floats, theta_o: Floats, dphi: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.formats.lobes import NOMINAL, Basis, Floats, Lobes
-from gonio.formats.table import decimal, grid_of_steps, known_values, title_of
+from gonio.formats.table import decimal, grid_of_steps, title_of
 from gonio.formats.text import numbers
 from gonio.interpolation import bracket, bracket_around
 from gonio.sphere import Vectors, angles, direction
@@ -306,7 +306,7 @@ def _table(words: Sequence[str], blocks: Sequence[str]) -> _Table:
         found = numbers(re.sub(r"TIS[ \t]+\S*|DataBegin|DataEnd", " ", block))
         if len(found) != np.prod(shape, dtype=np.float64):
             raise ValueError(f"a block holds {len(found)} values, expected {' x '.join(map(str, shape))}")
-        values.append(known_values(found).reshape(shape))
+        values.append(found.reshape(shape))
     symmetric = _word(words, "Symmetry") == "PlaneSymmetrical"
     return _Table(rotation, incidence, azimuth, radial, symmetric, np.stack(values, axis=-1))
 
