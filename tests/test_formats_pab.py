@@ -1,5 +1,6 @@
 """PAB-Opto files: Radiance makes the right BSDF of them, and sets of other origin are read as they are meant."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -196,6 +197,19 @@ def test_sets_of_other_origin(tmp_path):
         np.testing.assert_allclose(found.evaluate(wi, wo)[:, 0], chiral(wi, wo)[:, 1], atol=0.02)
     alone = pab.read(tmp_path / "b.txt")
     np.testing.assert_allclose(alone.theta_i, [40.0])
+
+
+def test_directions_upon_others_do_no_harm(tmp_path):
+    """Points that lie upon others, as negative polar angles make them, belong to no triangle."""
+    rows = [(t, p) for t in (0, 30, 60, 85) for p in range(0, 360, 45)] + [(-30, 45), (8180, 9.5), (60, 315), (0, 135)]
+    path = tmp_path / "set.pab"
+    for seed in range(20):
+        order = np.random.default_rng(seed).permutation(len(rows))
+        lines = "".join("{} {} 4.0\n".format(*rows[k]) for k in order)
+        path.write_text("#format: theta phi BRDF\n#intheta 30\n#inphi 0\n#upphi 90\n" + lines)
+        with contextlib.suppress(ValueError):
+            values = pab.read(path).measured().dataset["brdf"].values
+            np.testing.assert_allclose(values[np.isfinite(values)], 4.0)
 
 
 def test_what_is_not_known_has_no_line(tmp_path):

@@ -600,11 +600,16 @@ class _Cloud:
         lies behind none: among Delaunay's triangles this ends. (SciPy's own search sets up a linear system for each.)
         """
         mesh = self._mesh
-        here = np.maximum(mesh.vertex_to_simplex[nearest], 0)
+        # Points that lie upon others, or in line, belong to no triangle.
+        here = mesh.vertex_to_simplex[nearest]
+        here = np.where((here >= 0) & (here < len(mesh.simplices)), here, 0)
         weights = _barycentric(self._points[mesh.simplices[here]], wanted)
         going = np.flatnonzero(weights.min(axis=1) < -SAME)
         for _ in range(MOST_STEPS):
-            beyond = mesh.neighbors[here[going], weights[going].argmin(axis=1)]
+            # Flat triangles on the rim do not know inside from outside: over the rim only where no other way leads on.
+            around = mesh.neighbors[here[going]]
+            behind = np.where(around >= 0, weights[going], np.inf)
+            beyond = np.where(behind.min(axis=1) < -SAME, around[np.arange(len(going)), behind.argmin(axis=1)], -1)
             weights[going[beyond < 0]] = np.nan
             going, beyond = going[beyond >= 0], beyond[beyond >= 0]
             here[going] = beyond
