@@ -2,6 +2,7 @@
 # make test    install what the tests need and run them
 # make check   the tests and everything a change is held to before it is shared
 # make bench   speed against Embree alone and against renderers, growth, memory: benchmarks/RESULTS.md (half an hour)
+# make gallery the pictures of the README, drawn anew
 # make clean   remove what these made
 
 PYTHON ?= python3
@@ -9,22 +10,25 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test check bench clean
+.PHONY: demo test check bench gallery clean
 
 demo: $(VENV)/demo
 	$(BIN)/gonio run configs/gold_beckmann.toml
 
 test: $(VENV)/test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 check: $(VENV)/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 bench: $(VENV)/demo
 	$(BIN)/python benchmarks/everything.py
+
+gallery: $(VENV)/demo
+	$(BIN)/python docs/gallery.py
 
 clean:
 	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -10,10 +10,12 @@ import contextlib
 import inspect
 import itertools
 import os
+import shlex
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -36,8 +38,38 @@ if TYPE_CHECKING:
 WIDTH = 100
 """No line is wider, however wide the terminal is."""
 
-PICTURES = ("lobes", "slices", "hemisphere")
+PICTURES = ("lobes", "slices", "hemisphere", "albedo")
 """What is drawn of every measurement that allows it, as functions of `plots` and as files."""
+
+KINDS = {
+    "lobes": "lobes",
+    "slice": "slices",
+    "hemisphere": "hemisphere",
+    "albedo": "albedo",
+    "difference": "difference",
+    "sphere": "sphere",
+    "surface": "relief",
+    "paths": "paths",
+}
+"""What `gonio plot` draws, and the functions of `plots` that do."""
+
+UNASKED = ("lobes", "slice", "hemisphere", "albedo")
+"""What it draws if no kind is asked for."""
+
+OF_SURFACES = {"surface", "paths"}
+"""Kinds that show a surface, not a measurement."""
+
+KIND_OPTIONS = {
+    "lobes": ("wavelength", "radius", "orders", "overlaid", "true_colour", "ground", "show"),
+    "hemisphere": ("wavelength",),
+    "difference": ("wavelength",),
+    "surface": ("show",),
+    "paths": ("theta_i",),
+}
+"""Options of `gonio plot` that only some kinds have."""
+
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".gif", ".mp4", ".gltf", ".glb", ".vtp")
+"""What no folder's name ends with."""
 
 PLAIN_PROGRESS_SECONDS = 10.0
 """Where there is no terminal to draw a bar on, a line this often."""
@@ -54,6 +86,7 @@ app = App(
 Overrides = Annotated[tuple[str, ...], Parameter(name="--set", negative="", show_default=False)]
 ModelNames = Annotated[tuple[str, ...], Parameter(name="--model", negative="", show_default=False)]
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"])]
+Flag = Annotated[bool, Parameter(negative="", show_default=False)]
 
 
 class RunError(Exception):
@@ -123,8 +156,8 @@ def run(
     """Measure the BRDF that an experiment file describes.
 
     Writes measurement.nc, experiment.toml (everything resolved: run again, it
-    gives the same numbers), lobes.png, slices.png and hemisphere.png. Prints
-    albedos, orders of scattering, lost energy and how models compare.
+    gives the same numbers), lobes.png, slices.png, hemisphere.png, albedo.png.
+    Prints albedos, orders of scattering, lost energy and how models compare.
 
     Parameters
     ----------
@@ -722,23 +755,254 @@ def _cases() -> Iterator[Callable[[str, float], None]]:
 
 
 @app.command
-def plot(file: Path, /, *, output: Output = None) -> None:
-    """Draw a measurement: lobes.png, slices.png, hemisphere.png.
+def plot(
+    file: Path,
+    /,
+    *,
+    kind: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    models: ModelNames = (),
+    wavelength: float | None = None,
+    log: Annotated[bool | None, Parameter(negative="--linear", show_default=False)] = None,
+    orders: Flag = False,
+    overlaid: Flag = False,
+    true_colour: Flag = False,
+    ground: Flag = False,
+    theta_i: float | None = None,
+    show: Flag = False,
+    output: Output = None,
+) -> None:
+    """Draw a measurement: lobes.png, slices.png, hemisphere.png and albedo.png, or the kinds that are asked for.
+
+      lobes       scattered light as surfaces in space
+      slice       the BRDF in the plane of incidence, with error bars and models
+      hemisphere  maps of the BRDF and of its errors, seen from above
+      albedo      all the light that is sent back, against the angle of incidence
+      difference  where models are above or below what was measured
+      sphere      what the material looks like, beside models
+      surface     the microsurface and its statistics
+      paths       light on a section of the microsurface
 
     Parameters
     ----------
     file
-        The measurement, a .nc file.
+        The measurement: a .nc file, or a foreign file that gonio reads; of an experiment, a .toml file, surface and
+        paths are drawn.
+    kind
+        What to draw, as often as needed.
+    models
+        A model, as often as needed, as for gonio compare; lobes have those beside them that are named here.
+    wavelength
+        Of lobes, maps and differences, nm; the measured one nearest to 550 if not given.
+    log
+        Draw lobes with a logarithmic or a linear radius; what suits them if not given.
+    orders
+        Nest lobes of 1, 2 and more hits.
+    overlaid
+        Put the lobes of all incidences into one another.
+    true_colour
+        Colour lobes as the eye sees them.
+    ground
+        Draw the microsurface under the lobes.
+    theta_i
+        The lamp's angle for paths, degrees; 45 if not given.
+    show
+        Open a window, too, with the lobes or the surface.
     output
-        Folder for the pictures; the measurement's own if not given.
+        Folder for the pictures; the measurement's own if not given. For a single kind also a file: .png .svg .pdf;
+        lobes moving as .gif .mp4, or for other programs as .gltf .glb .vtp.
     """
+    kinds = tuple(dict.fromkeys(map(_kind, kind)))
+    given = {
+        "wavelength": wavelength,
+        "radius": None if log is None else "log" if log else "linear",
+        "orders": orders,
+        "overlaid": overlaid,
+        "true_colour": true_colour,
+        "ground": ground,
+        "theta_i": theta_i,
+        "show": show,
+    }
+    options = {name: value for name, value in given.items() if value not in (None, False)}
+    _check_options(kinds or UNASKED, options)
+    pictures = list(_pictures(file, kinds, models, options))
+    for name, path, draw in _placed(pictures, output, file.parent, bool(kinds)):
+        _draw_one(name, path, draw, bool(kinds))
+
+
+def _kind(name: str) -> str:
+    """A kind of picture; `InputError` with the nearest one for anything else."""
+    from difflib import get_close_matches
+
+    from gonio.experiment import InputError
+
+    if name in KINDS:
+        return name
+    near = get_close_matches(name.lower(), KINDS, 1, 0.5)
+    hint = f"did you mean {near[0]}?" if near else f"choose {', '.join(KINDS)}."
+    raise InputError(f"--kind {name}: there is no such picture; {hint}")
+
+
+def _check_options(kinds: Sequence[str], options: Mapping[str, Any]) -> None:
+    """Raise `InputError` for an option that none of the kinds has."""
+    from gonio.experiment import InputError
+
+    flags = {"radius": "--log or --linear"}
+    for name in options:
+        having = [kind for kind, names in KIND_OPTIONS.items() if name in names]
+        if not set(having) & set(kinds):
+            flag = flags.get(name, f"--{name.replace('_', '-')}")
+            raise InputError(f"{flag} means nothing here: add --kind {' or --kind '.join(having)}.")
+
+
+def _pictures(
+    file: Path, kinds: Sequence[str], models: Sequence[str], options: Mapping[str, Any]
+) -> Iterator[tuple[str, Callable[..., Any]]]:
+    """The names of the pictures, and functions that draw them into a path."""
+    from gonio import plots
     from gonio.experiment import models_for
 
-    measurement = _load(file)
-    folder = output or file.parent
+    wanted = set(kinds or UNASKED)
+    experiment = _experiment_behind(file) if "ground" in options or wanted & OF_SURFACES else None
+    measurement = _load(file) if wanted - OF_SURFACES else None
+    chosen = () if measurement is None else models_for(measurement, models or None)
+    for kind in kinds or UNASKED:
+        draw = getattr(plots, KINDS[kind])
+        extra = {name: value for name, value in options.items() if name in KIND_OPTIONS.get(kind, ())}
+        if kind in OF_SURFACES:
+            assert experiment is not None
+            if extra.pop("show", False):
+                _open_window(experiment.relief())
+            yield kind, partial(draw, experiment.surface, seed=experiment.surface_seed, **extra)
+            continue
+        assert measurement is not None
+        if kind == "difference":
+            yield from _differences(measurement, chosen, partial(draw, **extra))
+        elif kind == "hemisphere":
+            yield kind, partial(draw, measurement, **extra)
+        elif kind == "lobes":
+            under = {"ground": _height_field(experiment)} if experiment is not None and "ground" in extra else {}
+            yield kind, partial(draw, measurement, models=chosen if models else (), **{**extra, **under})
+        else:
+            yield KINDS[kind], partial(draw, measurement, models=chosen, **extra)
+
+
+def _differences(
+    measurement: Measurement, models: Sequence[Model], draw: Callable[..., Any]
+) -> Iterator[tuple[str, Callable[..., Any]]]:
+    """One picture a model."""
+    from gonio.compare import compare
+    from gonio.experiment import InputError
+
+    if not models:
+        raise InputError(
+            "No model describes this specimen by itself; name one with --model, such as "
+            '--model "cook-torrance m=0.3 material.name=Au".'
+        )
+    names = [type(model).__name__ for model in models]
+    for number, (model, name) in enumerate(zip(models, names, strict=True), 1):
+        stem = "difference" if len(models) == 1 else f"difference-{name}"
+        stem = stem if names.count(name) == 1 else f"{stem}-{number}"
+        yield stem, lambda path, model=model: draw(measurement, compare(measurement, model), path)
+
+
+def _placed(
+    pictures: Sequence[tuple[str, Callable[..., Any]]], output: Path | None, home: Path, asked: bool
+) -> Iterator[tuple[str, Path, Callable[..., Any]]]:
+    """Pictures with the files that they go into: one file, or .png files in a folder, which is made."""
+    from gonio.experiment import InputError
+
+    file = output is not None and bool(output.suffix) and not output.is_dir()
+    if output is not None and file and asked and len(pictures) == 1:
+        _make_writable(output.parent)
+        yield pictures[0][0], output, pictures[0][1]
+        return
+    if output is not None and output.suffix.lower() in PICTURE_SUFFIXES and not output.is_dir():
+        raise InputError(f"{output}: {len(pictures)} pictures need a folder; choose a single one with --kind.")
+    folder = output or home
     _make_writable(folder)
-    for name in _draw(measurement, models_for(measurement), folder):
-        print(folder / name)
+    for name, draw in pictures:
+        yield name, folder / f"{name}.png", draw
+
+
+def _draw_one(name: str, path: Path, draw: Callable[..., Any], asked: bool) -> None:
+    """Draw and tell the file; what cannot be drawn is an error only if it was asked for."""
+    from gonio.experiment import InputError
+
+    try:
+        with _working(f"drawing {path}"):
+            draw(path)
+    except ValueError as error:
+        if asked:
+            raise InputError(f"{name}: {error}.") from None
+        _complain(0, f"No {path.name}: {error}")
+    except RuntimeError as error:
+        raise RunError(f"No window: {error}") from None
+    except OSError as error:
+        raise RunError(f"{path} cannot be written ({_reason(error)}).") from None
+    else:
+        print(path)
+
+
+def _experiment_behind(file: Path) -> Experiment:
+    """The experiment in a .toml file, or the one that a measurement was made with."""
+    from pydantic import TypeAdapter, ValidationError
+
+    from gonio.experiment import Experiment, InputError
+
+    if file.suffix.lower() == ".toml":
+        return Experiment.read(file)
+    try:
+        return TypeAdapter(Experiment).validate_json(_load(file).attributes["experiment"])
+    except (KeyError, ValidationError):
+        raise InputError(
+            f"{file}: its surface has no recipe, which only a measurement by gonio run has; give an experiment's .toml."
+        ) from None
+
+
+def _height_field(experiment: Experiment) -> HeightField:
+    """The relief to draw under a lobe; `InputError` for a surface that is none."""
+    from gonio.experiment import InputError
+    from microsurfaces import HeightField
+
+    relief = experiment.relief()
+    if not isinstance(relief, HeightField):
+        raise InputError("--ground: the surface is a mesh, not a height field; leave it out, or draw --kind surface.")
+    return relief
+
+
+@app.command
+def report(file: Path, /, *, models: ModelNames = (), output: Output = None) -> None:
+    """Make one HTML page of a measurement, to look at, to print and to send.
+
+    It holds a summary in words, pictures, a lobe that turns with the mouse,
+    tables, the comparison with models, the self-checks and the experiment, and
+    works offline from disk.
+
+    Parameters
+    ----------
+    file
+        The measurement: a .nc file, or a foreign file that gonio reads.
+    models
+        A model, as often as needed, as for gonio compare; those that fit the material if not given.
+    output
+        The page; report.html beside the measurement if not given.
+    """
+    from gonio.experiment import InputError, models_for
+    from gonio.report import report as write
+
+    measurement, page = _load(file), output or file.parent / "report.html"
+    if page.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{page}: a report is a page; give a name that ends with .html.")
+    chosen = models_for(measurement, models or None)
+    _make_writable(page.parent)
+    command = ["gonio", "report", file.name, *(word for name in models for word in ("--model", name))]
+    try:
+        with _working(f"writing {page}"):
+            print(write(measurement, page, chosen, command=shlex.join(command)))
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    except OSError as error:
+        raise RunError(f"{page} cannot be written ({_reason(error)}).") from None
 
 
 @app.command
@@ -794,6 +1058,267 @@ def _load(file: Path) -> Measurement:
         return load(file)
     except ValueError as error:
         raise InputError(str(error)) from None
+
+
+# --- render ----------------------------------------------------------------------------------------------------------
+
+
+@app.command
+def render(
+    file: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    scene: str = "sphere",
+    size: int = 512,
+    spp: int = 256,
+    seed: int = 0,
+    isotropic: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+) -> None:
+    """Path-trace a scene made of a measured surface, with Mitsuba 3 (pip install mitsuba).
+
+    A lamp and a clear sky shine on it; light is reflected as often as it
+    likes. gonio plot draws a sphere without Mitsuba.
+
+    Parameters
+    ----------
+    file
+        The measurement: a .nc file, a foreign file that gonio reads, or a .bsdf file of RGL's, taken as it is.
+    output
+        The picture: .png, exposed for a screen, or .exr, radiances in linear sRGB.
+    scene
+        sphere or cylinder on a floor, or ball, a sphere alone seen from afar.
+    size
+        Width and height in pixels.
+    spp
+        Paths per pixel.
+    seed
+        Seed of the paths.
+    isotropic
+        Declare that the surface looks the same from every azimuth of the light.
+    """
+    from gonio.experiment import InputError
+    from gonio.render import render as rendered
+
+    source: Measurement | Path = file
+    if file.suffix.lower() != ".bsdf":
+        source = _load(file).declared_isotropic() if isotropic else _load(file)
+    _make_writable(output.parent)
+    try:
+        with _working(f"rendering {output}"):
+            print(rendered(source, output, scene, size, spp, seed))
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    except RuntimeError as error:
+        raise RunError(str(error)) from None
+    except OSError as error:
+        raise RunError(f"{output} cannot be written ({_reason(error)}).") from None
+
+
+# --- campaign --------------------------------------------------------------------------------------------------------
+
+campaigns = App(name="campaign", help="Data sets of many measurements that survive anything: run, continue, merge.")
+app.command(campaigns)
+
+
+@campaigns.command(name="run")
+def campaign_run(
+    file: Path,
+    /,
+    *,
+    overrides: Overrides = (),
+    workers: int = 0,
+    shard: str = "1/1",
+    threads: int | None = None,
+    output: Output = None,
+    quiet: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+) -> None:
+    """Measure all that a campaign file asks for, or what is still missing of it.
+
+    Every incidence of every specimen is a file in DIR/units as soon as it is
+    measured. The same command continues after Ctrl-C, a crash or a full disk.
+    Several runs may share a folder; results are the same to the last bit.
+
+    Parameters
+    ----------
+    file
+        The campaign, a TOML file such as those in configs/campaigns/.
+    overrides
+        Put a value in place of the base experiment's: --set goniometer.paths=10000
+    workers
+        Processes that share the cores; 0 measures in this one, with all cores.
+    shard
+        Compute the i-th of n parts only, i/n, for the jobs of an array: --shard 2/7
+    threads
+        Threads to use, of each worker if there are any.
+    output
+        Folder of the campaign; out/NAME if not given, where NAME.toml is the file.
+    quiet
+        Print nothing but errors.
+    """
+    from gonio.campaign.engine import State
+    from gonio.campaign.engine import run as run_campaign
+    from gonio.campaign.sweep import Campaign
+    from gonio.experiment import InputError
+
+    for name, number, least in (("workers", workers, 0), ("threads", threads, 1)):
+        if number is not None and number < least:
+            raise InputError(f"--{name} {number}: must be {least} or more.")
+    part = _shard(shard)
+    campaign, folder = Campaign.read(file, overrides), output or Path("out") / file.stem
+    _check_writable(folder)
+    started, latest = time.monotonic(), list[State]()
+    with _campaign_progress(quiet) as show:
+
+        def report(state: State) -> None:
+            latest[:] = [state]
+            show(state)
+
+        try:
+            state = run_campaign(campaign, folder, workers=workers, shard=part, threads=threads, report=report)
+        except KeyboardInterrupt:
+            done = f"{latest[0].kept + latest[0].computed} of {latest[0].units}" if latest else "finished"
+            raise RunError(f"Interrupted: {done} units are kept in {folder}; the same command continues.") from None
+        except OSError as error:
+            raise RunError(
+                f"{folder} cannot be written ({_reason(error)}): finished units are kept, the same command continues."
+            ) from None
+    if state.changed:
+        _complain(0, f"{folder} held another campaign: of its units those that this one asks for were kept.")
+    if state.deaths:
+        _complain(0, f"{state.deaths} workers died and were replaced.")
+    if state.failures:
+        _complain(0, *state.failures[:20])
+        raise RunError(f"{len(state.failures)} of {state.units} units could not be computed; the others are kept.")
+    if not quiet:
+        _say(
+            f"{state.units} units: {state.kept} were there, {state.computed} computed in "
+            f"{time.monotonic() - started:.1f} s. Put them together with: gonio campaign merge {folder}"
+        )
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """(i, n) of "i/n"."""
+    from gonio.experiment import InputError
+
+    number, slash, shards = text.partition("/")
+    if not (slash and number.isdecimal() and shards.isdecimal() and 1 <= int(number) <= int(shards)):
+        raise InputError(f"--shard {text}: must be i/n with i from 1 to n, such as 2/7.")
+    return int(number), int(shards)
+
+
+@contextlib.contextmanager
+def _campaign_progress(quiet: bool) -> Iterator[Callable[[Any], None]]:
+    """How far the campaign is: a bar on a terminal, a line every few seconds elsewhere, both on stderr."""
+    started = last = time.monotonic()
+
+    def words(state: Any) -> str:
+        rate = state.rays / max(time.monotonic() - started, 1e-3)
+        return f"{state.kept + state.computed} of {state.units} units, {_rate(rate)}"
+
+    def line(state: Any) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= PLAIN_PROGRESS_SECONDS and state.paths_done:
+            last = now
+            left = (now - started) * max(state.paths - state.paths_done, 0) / state.paths_done
+            _complain(0, f"{state.paths_done / state.paths:4.0%} done, {words(state)}, {_duration(left)} left")
+
+    if quiet:
+        yield lambda state: None
+    elif not sys.stderr.isatty():
+        yield line
+    else:
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+        columns = (BarColumn(None), TaskProgressColumn(), TextColumn("{task.description}"), TimeRemainingColumn())
+        with Progress(*columns, console=Console(stderr=True), expand=True) as bar:
+            task = bar.add_task("building the surface", total=None)
+            yield lambda state: bar.update(
+                task, completed=state.paths_done, total=state.paths, description=words(state)
+            )
+
+
+def _duration(seconds: float) -> str:
+    """A time that people can read: 40 s, 12 min, 3.4 h."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+@campaigns.command(name="status")
+def campaign_status(folder: Path, /) -> None:
+    """Tell how far a campaign is, and which runs work on it.
+
+    Parameters
+    ----------
+    folder
+        The campaign's folder.
+    """
+    from gonio.campaign.folder import Folder, status
+
+    found = status(Folder(folder))
+    if found.title:
+        _say(found.title, style="bold")
+    share = found.paths_finished / found.paths
+    _say(
+        f"{found.units_finished} of {found.units} units are finished, {share:.0%} of the paths; "
+        f"{found.experiments_finished} of {found.experiments} experiments are complete."
+    )
+    for run, units in found.runs.items():
+        _say(f"{run}: {units} unit{'s' * (units > 1)} under way.")
+
+
+@campaigns.command(name="verify")
+def campaign_verify(folder: Path, /) -> None:
+    """Read every finished unit and check it; damaged ones are set aside, so that the next run computes them.
+
+    Parameters
+    ----------
+    folder
+        The campaign's folder.
+    """
+    from gonio.campaign.folder import Folder, verify
+
+    try:
+        sound, sentences = verify(Folder(folder))
+    except OSError as error:
+        raise RunError(f"{folder} cannot be read or written ({_reason(error)}).") from None
+    _complain(0, *sentences)
+    _say(f"{sound} unit{'s' * (sound != 1)} {'are' if sound != 1 else 'is'} sound.")
+    if sentences:
+        raise RunError(f"{len(sentences)} units were damaged: run the campaign again, which computes them.")
+
+
+@campaigns.command(name="merge")
+def campaign_merge(folder: Path, /) -> None:
+    """Put finished units together: one measurement for each experiment, and index.csv with their parameters.
+
+    Parameters
+    ----------
+    folder
+        The campaign's folder; DIR/measurements is written.
+    """
+    from gonio.campaign.results import merge
+
+    try:
+        with _working(f"merging {folder}"):
+            merged = merge(folder)
+    except OSError as error:
+        raise RunError(f"{folder} cannot be read or written ({_reason(error)}).") from None
+    _complain(0, *merged.damaged)
+    if len(merged.processors) > 1:
+        _complain(
+            0,
+            f"Units were computed on different processors ({', '.join(sorted(merged.processors))}): their last bits "
+            "may not be those of a single machine.",
+        )
+    _say(f"{len(merged.files)} measurements and index.csv in {folder / 'measurements'}{os.sep}")
+    if merged.incomplete:
+        raise RunError(
+            f"{merged.incomplete} of {merged.incomplete + len(merged.files)} experiments lack units: run the campaign "
+            "again."
+        )
 
 
 # --- list ------------------------------------------------------------------------------------------------------------

@@ -23,8 +23,10 @@ from gonio.models import Model, matching
 from gonio.models.specimen import Specimen, model_class
 from gonio.optics import Conductor, Dielectric, Material, index_table
 from gonio.scene import Scene
+from gonio.sketch import plane_of_incidence
 from gonio.tally import MAX_PATHS
 from microsurfaces import HeightField, Mesh, Surface, VGrooves
+from microsurfaces.card import card
 from microsurfaces.files import replacing
 from microsurfaces.recipe import from_toml, recipe, sentences
 
@@ -109,6 +111,21 @@ class Experiment:
             raise InputError(*mistakes)
         return experiment
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the lamps, and what will be measured."""
+        lamps = self.goniometer.theta_i
+        count = len(lamps) * len(self.goniometer.phi_i)
+        paths = self.realisations * self.goniometer.paths
+        rows = {
+            "surface": self.surface,
+            "material": self.material,
+            "light": f"{count} incidence{'s' * (count > 1)}, {len(self.goniometer.wavelengths)} wavelengths",
+            "detector": self.goniometer.detector,
+            "paths": f"{paths:,} an incidence, of {self.realisations} specimen{'s' * (self.realisations > 1)}",
+            "seed": self.seed,
+        }
+        return card(self.title or "Experiment", rows, plane_of_incidence(lamps))
+
     def to_dict(self) -> dict[str, Any]:
         """The experiment as plain tables, every default written out; `kind` first, and only where there is a choice."""
         table = TypeAdapter(type(self)).dump_python(self, mode="json", exclude_none=True)
@@ -178,6 +195,11 @@ class Experiment:
         described = replace(measurement, attributes=measurement.attributes | provenance)
         certificate = {"certificate": certify(described).to_json()}
         return replace(described, attributes=described.attributes | certificate)
+
+    @property
+    def surface_seed(self) -> int:
+        """The seed that the first realisation of the surface is built with."""
+        return self._seed("surface")
 
     def _seed(self, purpose: str, realisation: int = 0) -> int:
         """A 64-bit seed that depends on the experiment's seed, the purpose and the realisation only."""

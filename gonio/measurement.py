@@ -21,9 +21,11 @@ from pydantic import TypeAdapter, ValidationError
 from gonio.detectors import Detector, HemisphereGrid
 from gonio.interpolation import Interpolation
 from gonio.optics import Material
+from gonio.sketch import in_plane, plane_of_incidence, thinned
 from gonio.sphere import angles
 from gonio.tally import MAX_PATHS, UNIT, Wide
 from microsurfaces import Facets, Surface
+from microsurfaces.card import card
 from microsurfaces.files import replacing
 
 if TYPE_CHECKING:
@@ -154,6 +156,51 @@ class Measurement:
     def measured(self) -> NDArray[np.bool_]:
         """Which incidences were measured, (theta_i, phi_i)."""
         return np.asarray(self.dataset["albedo"].sel(order="all").notnull().any("wavelength").values)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: lobes in the plane of incidence, and key numbers."""
+        lamps = sorted({theta for theta, _ in self.incidences()})
+        title = str(self.attributes.get("title") or "Measurement")
+        return card(title, self._key_numbers(lamps), self._sketch(lamps))
+
+    def _key_numbers(self, lamps: list[float]) -> dict[str, object]:
+        """What a notebook tells, in words."""
+        data, material = self.dataset, self.material
+        middle = len(self.wavelengths) // 2
+        rows: dict[str, object] = {
+            "theta_i": ", ".join(f"{theta:g}°" for theta in lamps) or "nothing was measured",
+            "phi_i": "any: isotropic" if self.isotropic else ", ".join(f"{phi:g}°" for phi in data["phi_i"].values),
+            "wavelengths": ", ".join(self.channels),
+            "detector": self.detector,
+        }
+        if material is not None:
+            rows["material"] = material
+        if lamps:
+            first = np.argwhere(self.measured)[0]
+            value, error = (
+                float(data[name].sel(order="all").values[*first, middle])
+                for name in ("albedo", "albedo_standard_error")
+            )
+            known = f" ± {error:.1g}" if np.isfinite(error) else ""
+            rows["albedo"] = f"{value:.4g}{known} at theta_i = {lamps[0]:g}°, {self.channels[middle]}"
+        if self.sums is None:
+            rows["origin"] = self.attributes.get("origin", "elsewhere")
+        else:
+            rows["paths"] = f"{int(data['paths'].sum()):,} in all{', interrupted' if self.interrupted else ''}"
+        return rows
+
+    def _sketch(self, lamps: list[float]) -> str:
+        """Lobes of a few incidences at the middle wavelength."""
+        shown = [lamps[k] for k in thinned(lamps)]
+        if "dphi" not in self.dataset.dims:
+            return plane_of_incidence(shown)
+        measured, nodes = self.measured, list(self.dataset["theta_i"].values)
+        data = self.dataset[["brdf"]].isel(wavelength=len(self.wavelengths) // 2).sel(order="all")
+        lobes = []
+        for row in map(nodes.index, shown):
+            angle, values = in_plane(data.isel(theta_i=row, phi_i=int(measured[row].argmax())))
+            lobes.append((angle, np.maximum(values, 0.0) / max(float(values.max()), 1e-300)))
+        return plane_of_incidence(shown, lobes)
 
     def declared_isotropic(self) -> Measurement:
         """The same measurement, declared to depend on the relative azimuth only."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from microsurfaces.card import card, image
 from microsurfaces.mesh import (
     Facets,
     Floats,
@@ -20,6 +21,9 @@ from microsurfaces.mesh import (
     slope_density,
     slope_moments,
 )
+
+PICTURED = 160
+"""Nodes along either side of what a notebook shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +55,30 @@ class HeightField:
         """Size (px, py) of the tile, µm."""
         ny, nx = self.heights.shape
         return nx * self.spacing[0], ny * self.spacing[1]
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: its middle, lit from the left, and key numbers."""
+        ny, nx = self.heights.shape
+        slopes = [float(np.sqrt(np.mean(self._edge_slopes(axis) ** 2))) for axis in (1, 0)]
+        rows = {
+            "tile": f"{self.period[0]:.4g} x {self.period[1]:.4g} µm, periodic",
+            "nodes": f"{nx} x {ny}, {self.spacing[0]:.3g} x {self.spacing[1]:.3g} µm apart",
+            "heights": f"{self.heights.min():.3g} to {self.heights.max():.3g} µm, Sq = {self.heights.std():.3g} µm",
+            "rms slopes": f"{slopes[0]:.3g} along x, {slopes[1]:.3g} along y",
+        }
+        return card("HeightField", rows, self._picture())
+
+    def _picture(self) -> str:
+        """An image of the middle of the tile, y upward, its slopes along x as grey."""
+        ny, nx = self.heights.shape
+        rows, columns = (slice((n - min(n, PICTURED)) // 2, (n + min(n, PICTURED)) // 2) for n in (ny, nx))
+        # One column more, the first again after the last: a difference each.
+        middle = self.heights[rows].take(np.arange(columns.start, columns.stop + 1), axis=1, mode="wrap")
+        slope = np.diff(middle, axis=1)[::-1] / self.spacing[0]
+        grey = np.clip(127.5 + 127.5 / 3 * slope / (np.sqrt(np.mean(slope**2)) or 1.0), 0, 255).astype(np.uint8)
+        larger = max(1, PICTURED // max(grey.shape))
+        pixels = np.repeat(np.repeat(grey, larger, axis=0), larger, axis=1)
+        return image(pixels, f"{grey.shape[1]} x {grey.shape[0]} nodes in the middle, light from the left")
 
     def mesh(self) -> Mesh:
         """Two triangles a cell, their diagonals alternating as on a chess board, on (ny+1)(nx+1) vertices.

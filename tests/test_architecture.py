@@ -13,18 +13,17 @@ FILES = sorted(path for package in ("gonio", "microsurfaces") for path in (ROOT 
 LEVELS = [
     {"gonio.__main__"},
     {"gonio.cli"},
-    {"gonio.tables"},
     {"gonio.campaign"},
     {"gonio.experiment", "gonio.validate"},
     {"gonio.report"},
-    {"gonio.plots", "gonio.appearance", "gonio.certificate", "gonio.fitting"},
-    {"gonio.compare"},
+    {"gonio.plots", "gonio.render", "gonio.certificate", "gonio.fitting", "gonio.tables"},
+    {"gonio.appearance", "gonio.compare"},
     {"gonio.formats"},
     {"gonio.goniometer"},
     {"gonio.transport"},
     {"gonio.grid_transport"},
     {"gonio.scene", "gonio.paths", "gonio.models", "gonio.measurement"},
-    {"gonio.interpolation"},
+    {"gonio.interpolation", "gonio.sketch"},
     {"gonio.detectors", "gonio.colour"},
     {"gonio.grid", "gonio.optics", "gonio.sphere", "gonio.tally"},
     {"gonio.randomness"},
@@ -33,11 +32,11 @@ LEVELS = [
     {"microsurfaces.random_fields", "microsurfaces.profiles", "microsurfaces.textures", "microsurfaces.files"},
     {"microsurfaces.height_field"},
     {"microsurfaces.mesh"},
-    {"microsurfaces.recipe"},
+    {"microsurfaces.recipe", "microsurfaces.card"},
 ]
 """From the command line down to the geometry; the modules of one level do not import each other."""
 
-KEEPERS = {"embreex": "gonio.scene", "matplotlib": "gonio.plots", "pyvista": "gonio.plots"}
+KEEPERS = {"embreex": "gonio.scene", "matplotlib": "gonio.plots", "pyvista": "gonio.plots", "mitsuba": "gonio.render"}
 
 
 def module(path: Path) -> str:

@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -50,6 +51,7 @@ detector = {kind = "Klems", basis = "quarter"}
 """
 
 Gonio = Callable[..., tuple[int, str, str]]
+Calls = list[tuple[str, tuple[Any, ...], dict[str, Any]]]
 
 
 @pytest.fixture
@@ -105,7 +107,7 @@ def files() -> set[str]:
 def test_run_writes_the_results_and_prints_what_was_measured(run: Gonio) -> None:
     code, out, err = run("run", "toy.toml", "--threads", "1")
     assert code == 0, err
-    results = {"measurement.nc", "experiment.toml", "lobes.png", "slices.png", "hemisphere.png"}
+    results = {"measurement.nc", "experiment.toml", "lobes.png", "slices.png", "hemisphere.png", "albedo.png"}
     assert files() == {"toy.toml"} | {f"out/toy/{name}" for name in results}
     assert all(len(line) <= 80 for line in out.splitlines())
     measurement = gonio.load("out/toy/measurement.nc")
@@ -293,7 +295,7 @@ def test_a_table_from_elsewhere_is_fitted(run: Gonio, tables: Path) -> None:
 def test_a_table_from_elsewhere_is_drawn(run: Gonio, tables: Path) -> None:
     code, out, err = run("plot", str(tables / "colours.nc"), "-o", "pictures")
     assert (code, err) == (0, "")
-    assert files() == {"toy.toml", *(f"pictures/{name}.png" for name in ("lobes", "slices", "hemisphere"))}
+    assert files() == {"toy.toml", *(f"pictures/{name}.png" for name in ("lobes", "slices", "hemisphere", "albedo"))}
     assert files() == {"toy.toml", *out.split()}
 
 
@@ -391,11 +393,120 @@ def test_validate_tells_a_failure(run: Gonio, monkeypatch: pytest.MonkeyPatch) -
     assert err.splitlines()[-1].endswith("numbers are not as they should be.")
 
 
+@pytest.fixture
+def blank(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    """Pictures are empty files; the functions of `plots` that were asked for them, and what they were given."""
+    calls: Calls = []
+
+    def stand_in(name: str) -> Callable[..., None]:
+        def draw(*given: Any, **options: Any) -> None:
+            *what, path = given
+            calls.append((name, tuple(what), options))
+            Path(path).touch()
+
+        return draw
+
+    for name in ("lobes", "slices", "hemisphere", "albedo", "difference", "sphere", "relief", "paths"):
+        monkeypatch.setattr(f"gonio.plots.{name}", stand_in(name))
+    return calls
+
+
 def test_plot_draws_into_a_folder(run: Gonio, measured: Path) -> None:
     code, out, _ = run("plot", str(measured), "-o", "pictures")
     assert code == 0
-    assert out.split() == [f"pictures/{name}.png" for name in ("lobes", "slices", "hemisphere")]
+    assert out.split() == [f"pictures/{name}.png" for name in ("lobes", "slices", "hemisphere", "albedo")]
     assert files() == {"toy.toml", *out.split()}
+    assert all(Path(name).read_bytes().startswith(b"\x89PNG") for name in out.split())
+
+
+@pytest.mark.parametrize(
+    ("tokens", "name", "file", "options"),
+    [
+        ("--kind lobes --log --orders -o x.png", "lobes", "x.png", {"models": (), "radius": "log", "orders": True}),
+        ("--kind lobes --linear -o new/x.gltf", "lobes", "new/x.gltf", {"models": (), "radius": "linear"}),
+        ("--kind lobes --wavelength 450 -o out", "lobes", "out/lobes.png", {"models": (), "wavelength": 450.0}),
+        ("--kind hemisphere --wavelength 450 -o x.svg", "hemisphere", "x.svg", {"wavelength": 450.0}),
+        ("--kind difference --model cook-torrance -o out", "difference", "out/difference.png", {}),
+    ],
+)
+def test_plot_gives_each_kind_its_options(
+    run: Gonio, measured: Path, blank: Calls, tokens: str, name: str, file: str, options: dict[str, Any]
+) -> None:
+    code, out, err = run("plot", str(measured), *tokens.split())
+    assert (code, err, out) == (0, "", f"{file}\n")
+    ((drawn, _, given),) = blank
+    assert (drawn, given) == (name, options)
+    assert Path(file).exists()
+
+
+def test_plot_draws_models_over_slices_and_beside_lobes_if_told(run: Gonio, measured: Path, blank: Calls) -> None:
+    kinds = ("slice", "albedo", "sphere", "lobes")
+    tokens = [word for kind in kinds for word in ("--kind", kind)]
+    assert run("plot", str(measured), *tokens, "-o", "out")[0] == 0
+    assert [name for name, _, _ in blank] == ["slices", "albedo", "sphere", "lobes"]
+    assert [len(options["models"]) for _, _, options in blank] == [2, 2, 2, 0]
+    blank.clear()
+    assert run("plot", str(measured), *tokens, "-o", "out", "--model", "cook-torrance")[0] == 0
+    assert [[type(model).__name__ for model in options["models"]] for _, _, options in blank] == [["CookTorrance"]] * 4
+
+
+def test_plot_compares_every_model(run: Gonio, measured: Path, blank: Calls) -> None:
+    code, out, _ = run("plot", str(measured), "--kind", "difference", "-o", "out")
+    assert code == 0
+    assert out.split() == ["out/difference-CookTorrance.png", "out/difference-Microfacet.png"]
+    assert [type(verdict.model).__name__ for _, (_, verdict), _ in blank] == ["CookTorrance", "Microfacet"]
+
+
+@pytest.mark.parametrize("source", ["NC", "toy.toml"])
+def test_plot_shows_the_surface_that_was_measured(run: Gonio, measured: Path, blank: Calls, source: str) -> None:
+    file = source.replace("NC", str(measured))
+    code, out, _ = run("plot", file, "--kind", "surface", "--kind", "paths", "--theta-i", "60", "-o", "out")
+    assert code == 0
+    assert out.split() == ["out/surface.png", "out/paths.png"]
+    experiment = Experiment.read("toy.toml")
+    (_, (first,), relief), (_, (second,), paths) = blank
+    assert first == second == experiment.surface
+    assert paths == {**relief, "theta_i": 60.0}
+    built = first.build(relief["seed"])
+    np.testing.assert_array_equal(built.heights, experiment.relief().heights)
+    if source == "NC":
+        assert run("plot", file, "--kind", "lobes", "--ground", "-o", "out")[0] == 0
+        np.testing.assert_array_equal(blank[-1][2]["ground"].heights, built.heights)
+
+
+@pytest.mark.parametrize(
+    ("tokens", "words"),
+    [
+        ("NC --kind lobse", "--kind lobse: there is no such picture; did you mean lobes?"),
+        ("NC --kind q", "--kind q: there is no such picture; choose lobes, slice, "),
+        ("NC --kind slice --log", "--log or --linear means nothing here: add --kind lobes."),
+        ("NC --theta-i 30", "--theta-i means nothing here: add --kind paths."),
+        ("NC -o x.png", "x.png: 4 pictures need a folder; choose a single one with --kind."),
+        ("NC --kind lobes -o x.xyz", "the suffixes are .eps, "),
+        ("NC --kind lobes --orders --overlaid -o x.png", "lobes: lobes show one at a time"),
+        ("TABLE --kind surface", "its surface has no recipe"),
+        ("TABLE --kind difference", "No model describes this specimen by itself; name one with --model"),
+        ("toy.toml --kind slice", "not a measurement that gonio wrote"),
+    ],
+)
+def test_plot_tells_in_a_sentence_what_it_cannot_draw(
+    run: Gonio, measured: Path, tables: Path, tokens: str, words: str
+) -> None:
+    tokens = tokens.replace("NC", str(measured)).replace("TABLE", str(tables / "colours.nc"))
+    code, out, err = run("plot", *tokens.split())
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
+    assert files() == {"toy.toml"}
+
+
+def test_plot_without_a_screen_draws_and_says_so(run: Gonio, measured: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    code, _, err = run("plot", str(measured), "--kind", "lobes", "--show", "-o", "x.vtp")
+    assert code == 1
+    assert err.startswith("No window: there is no screen")
+    assert Path("x.vtp").exists()
 
 
 def test_export_writes_the_format_of_the_suffix(run: Gonio, measured: Path) -> None:

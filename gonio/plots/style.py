@@ -1,0 +1,248 @@
+"""What every figure shares: the palette, the choice of what is shown, heads, colour bars, saving.
+
+matplotlib is used through `Figure` objects and never through pyplot, so nothing global changes and no window opens.
+Files appear whole or not at all.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from microsurfaces.files import replacing
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.colorbar import Colorbar
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    from gonio.measurement import Measurement
+
+Array = NDArray[np.float64]
+PathLike = str | os.PathLike[str]
+
+PANELS = 6
+"""At most so many incidences share a figure."""
+LAMP, MIRROR, INK, PAPER = "#d98200", "#0072b2", "#333333", "#e9e9e6"
+"""The lamp, the mirror direction, lines and letters, the sample's plane: the same colours in every figure."""
+COLOURS, ERRORS, DIFFERENCES = "viridis", "magma", "RdBu_r"
+"""Colour maps of values, of their errors and of differences."""
+PERCENT, SIGMAS = 50.0, 6.0
+"""Largest differences that a map tells apart: in percent, and in standard errors."""
+SPARSE = 10
+"""Fewer hits than this say little; such bins are hatched where errors are shown."""
+DECADES = 4
+"""At most so many decades are shown."""
+CURVES = 5
+"""At most so many wavelengths share a panel."""
+STYLES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.2, 1.4)), (0, (6, 2, 1.2, 2)))
+"""Lines of all orders together and of the first few numbers of hits."""
+MARKERS = "osD^vP"
+"""Of the first few models."""
+ORDERS = {"all": "#8a8a86", "1": MIRROR, "2": "#009e73"}
+"""Numbers of hits, where they are told apart by colours."""
+MORE = "#cc79a7"
+"""And still more hits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Incidence:
+    """One measured incidence: its angles in degrees and its part of the dataset."""
+
+    theta: float
+    phi: float
+    data: xr.Dataset
+
+    @property
+    def words(self) -> str:
+        """The angles of the light, for a title."""
+        return f"$\\theta_i$ = {self.theta:g}°, $\\phi_i$ = {self.phi:g}°"
+
+
+def choose_incidences(measurement: Measurement, panels: int = PANELS) -> tuple[list[Incidence], str]:
+    """At most so many measured incidences, by azimuth and polar angle, and words that say how many there are.
+
+    Azimuths share the panels evenly; where there are too many of them, the first alone is shown.
+    """
+    measured = measurement.measured
+    if not measured.any():
+        raise ValueError("no incidence of this measurement was measured: nothing to draw")
+    azimuths = np.flatnonzero(measured.any(axis=0))
+    many, whole = len(azimuths) > panels // 2, int(measured.sum())
+    if many and whole > panels:
+        azimuths = azimuths[:1]
+    each = panels if whole <= panels else max(panels // len(azimuths), 1)
+    chosen = [(i, j) for j in azimuths for i in thinned(np.flatnonzero(measured[:, j]), each)]
+    words = "" if len(chosen) == whole else f"{len(chosen)} of {whole} incidences"
+    return [incidence_at(measurement, int(i), int(j)) for i, j in chosen], words
+
+
+def incidence_at(measurement: Measurement, i: int, j: int) -> Incidence:
+    """One incidence by its places along theta_i and phi_i."""
+    data = measurement.dataset
+    return Incidence(float(data["theta_i"][i]), float(data["phi_i"][j]), data.isel(theta_i=i, phi_i=j))
+
+
+def thinned(values: NDArray[Any], most: int) -> NDArray[Any]:
+    """At most so many of `values`, evenly chosen, the first and the last among them."""
+    chosen = np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(int))
+    return np.asarray(values[chosen])
+
+
+def nearest_wavelength(measurement: Measurement, wanted: float | None) -> float:
+    """The measured wavelength nearest to `wanted`, or to the middle of the visible range, 550 nm."""
+    wavelengths = np.asarray(measurement.wavelengths, float)
+    return float(wavelengths[np.abs(wavelengths - (550.0 if wanted is None else wanted)).argmin()])
+
+
+def channel(measurement: Measurement, nm: float) -> str:
+    """What the values at one of the measured wavelengths are called."""
+    return measurement.channels[int(np.flatnonzero(measurement.wavelengths == nm)[0])]
+
+
+def channel_words(measurement: Measurement, nm: float) -> str:
+    """The same for a title, where "R" alone would be a riddle."""
+    name = channel(measurement, nm)
+    return name if name.endswith(" nm") else f"channel {name}"
+
+
+def counts(data: xr.Dataset) -> bool:
+    """Whether hits were counted; they are not in a measurement that comes from elsewhere."""
+    return "hits" in data
+
+
+def has_errors(measurement: Measurement) -> bool:
+    """Whether any standard error is known."""
+    return bool(np.isfinite(measurement.dataset["standard_error"].values).any())
+
+
+def has_hemisphere(measurement: Measurement) -> bool:
+    """Whether there is a grid of bins; apertures have none."""
+    return "dphi" in measurement.dataset.dims
+
+
+def layout(panels: int, incidences: Sequence[Incidence]) -> tuple[int, int]:
+    """(rows, columns) of the panels; one row an azimuth where that comes out even."""
+    azimuths = len({incidence.phi for incidence in incidences})
+    columns = panels // azimuths if azimuths > 1 and panels % azimuths == 0 else panels
+    columns = columns if columns <= 3 else 2 if panels == 4 else 3
+    return -(-panels // columns), columns
+
+
+def headline(figure: Figure, measurement: Measurement, *parts: str) -> None:
+    """The measurement's title above what this figure shows, in as many lines as the width asks for."""
+    title = str(measurement.dataset.attrs.get("title", "")).strip()
+    shown = ", ".join(part for part in parts if part)
+    room = int(11 * figure.get_figwidth())
+    lines = [line for text in (title, shown) for line in textwrap.wrap(text, room)]
+    figure.suptitle("\n".join(lines).replace("$", r"\$"), fontsize=12, color=INK)
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of so many inches, 150 dots each."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=150)
+    FigureCanvasAgg(figure)
+    figure.set_layout_engine("constrained", h_pad=0.07, w_pad=0.05)
+    return figure
+
+
+def check_path(path: Path, more: Sequence[str] = ()) -> None:
+    """Raise ValueError for a suffix that neither matplotlib nor `more` knows, FileNotFoundError without a folder."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    known = (*(f".{name}" for name in FigureCanvasAgg.get_supported_filetypes()), *more)
+    if path.suffix.lower() not in known:
+        raise ValueError(f"cannot draw into {str(path)!r}: the suffixes are {', '.join(dict.fromkeys(known))}")
+    if not path.absolute().parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path.parent))
+
+
+def save(figure: Figure, path: PathLike) -> Path:
+    """Write a figure into the kind of file that the suffix tells; a ValueError for one that matplotlib cannot write."""
+    path = Path(path)
+    check_path(path)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, facecolor="white")
+    return path
+
+
+def colour_bar(figure: Figure, panels: Any, norm: Normalize, words: str, colours: str = COLOURS) -> Colorbar:
+    """A colour bar beside `panels` with round numbers on it."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm
+
+    bar = figure.colorbar(ScalarMappable(norm, colours), ax=list(np.ravel(panels)), shrink=0.85, aspect=28, pad=0.015)
+    bar.set_label(words, fontsize=10, color=INK)
+    low, high = float(norm.vmin or 0.0), float(norm.vmax or 1.0)
+    if isinstance(norm, LogNorm) and high < 300 * low:
+        rounds = np.outer(10.0 ** np.arange(-12, 12), (1, 2, 5)).ravel()
+        ticks = rounds[(rounds >= low) & (rounds <= high)]
+        bar.set_ticks(list(ticks), labels=[f"{tick:g}" for tick in ticks])
+        bar.minorticks_off()
+    bar.ax.tick_params(labelsize=9)
+    return bar
+
+
+def hits(order: str) -> str:
+    """An order of scattering in words."""
+    words = {"all": "all orders", "1": "1 hit"}
+    return words.get(order, f"{order[:-1]} and more hits" if order.endswith("+") else f"{order} hits")
+
+
+def hue(nm: float) -> tuple[float, float, float]:
+    """The spectral hue of a wavelength, dark enough for a white page; greys outside the visible range."""
+    if not 380 <= nm <= 780:
+        return (0.45, 0.45, 0.5) if nm < 380 else (0.3, 0.25, 0.25)
+    nodes = (380, 420, 450, 480, 500, 530, 555, 580, 600, 620, 660, 780)
+    red = (0.42, 0.40, 0.13, 0.00, 0.00, 0.05, 0.25, 0.75, 0.88, 0.86, 0.78, 0.45)
+    green = (0.10, 0.12, 0.30, 0.55, 0.60, 0.60, 0.58, 0.55, 0.42, 0.20, 0.05, 0.00)
+    blue = (0.60, 0.75, 0.85, 0.80, 0.55, 0.25, 0.05, 0.00, 0.00, 0.10, 0.12, 0.05)
+    r, g, b = (float(np.interp(nm, nodes, channel)) for channel in (red, green, blue))
+    return r, g, b
+
+
+@cache
+def can_render() -> bool:
+    """Whether VTK can draw off screen; tried in a process of its own, which without a GL library is killed."""
+    trial = "import pyvista; pyvista.Plotter(off_screen=True, window_size=(8, 8)).screenshot(return_img=True)"
+    try:
+        return subprocess.run([sys.executable, "-c", trial], capture_output=True, timeout=120).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+
+
+def log_norm(values: Array) -> Normalize:
+    """From the lowest values, a few noisy ones left out, to the highest: half a decade to `DECADES`."""
+    from matplotlib.colors import LogNorm
+
+    values = values[values > 0]
+    high = float(values.max(initial=0.0)) or 1.0
+    low = float(np.quantile(values, 0.02)) if values.size else high
+    return LogNorm(min(max(low, high / 10**DECADES), high / 3), high, clip=True)
+
+
+def order_lines(data: xr.Dataset) -> dict[str, Any]:
+    """The orders that are drawn, with their lines."""
+    return dict(zip(map(str, data["order"].values), STYLES, strict=False))
+
+
+def some_wavelengths(measurement: Measurement) -> tuple[list[float], str]:
+    """At most `CURVES` of the measured wavelengths, evenly thinned, and words that say so."""
+    wavelengths = [float(nm) for nm in measurement.wavelengths]
+    chosen = [float(nm) for nm in thinned(measurement.wavelengths, CURVES)]
+    return chosen, "" if len(chosen) == len(wavelengths) else f"{len(chosen)} of {len(wavelengths)} wavelengths"

@@ -1,0 +1,209 @@
+"use strict";
+(() => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const at = (name) => document.getElementById(name);
+  const rad = Math.PI / 180;
+  const direction = (theta, phi) => [
+    Math.sin(theta * rad) * Math.cos(phi * rad), Math.sin(theta * rad) * Math.sin(phi * rad), Math.cos(theta * rad)];
+  const MODELS = [["#009e73", "dash"], ["#cc79a7", "dashdot"], ["#56b4e9", "longdash"], ["#b2182b", "dot"]];
+  const FONT = { family: "system-ui, sans-serif", size: 12, color: data.colours.ink };
+  const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
+
+  const options = (name, words) => words.forEach((text, k) => at(name).add(new Option(text, k)));
+  options("channel", data.channels);
+  options("order", data.order_words);
+  at("incidence").max = data.incidences.length - 1;
+  Object.entries(data.start).forEach(([name, k]) => { at(name).value = k; });
+
+  const state = () => ({
+    incidence: Number(at("incidence").value), channel: Number(at("channel").value),
+    order: Number(at("order").value), logarithmic: at("radius").value === "logarithmic",
+  });
+  const angles = (s) => {
+    const { theta, phi } = data.incidences[s.incidence];
+    return `theta_i ${theta}°, phi_i ${phi}°`;
+  };
+
+  // --- The lobe: a closed surface whose radius is the light sent into a direction -------------------------------
+
+  function shape(s) {
+    const { theta, dphi, values } = data.lobes;
+    const flat = values[s.incidence][s.order][s.channel];
+    const peak = Math.max(...flat.map((v) => v ?? 0)) || 1;
+    const radius = (v) => v === null ? null
+      : s.logarithmic ? Math.max(0, 1 + Math.log10(Math.max(v, 1e-300) / peak) / 3) : Math.max(0, v) / peak;
+    const colour = (v) => v === null ? null : s.logarithmic ? Math.log10(Math.max(v, peak * 1e-3)) : v;
+    const grid = { x: [], y: [], z: [], colour: [], text: [] };
+    theta.forEach((t, row) => {
+      const line = { x: [], y: [], z: [], colour: [], text: [] };
+      for (let k = 0; k <= dphi.length; k += 1) {
+        const v = flat[row * dphi.length + (k % dphi.length)];
+        const r = radius(v);
+        const [x, y, z] = direction(t, dphi[k % dphi.length]);
+        line.x.push(r === null ? null : r * x);
+        line.y.push(r === null ? null : r * y);
+        line.z.push(r === null ? null : r * z);
+        line.colour.push(colour(v));
+        line.text.push(`theta_o ${t}°, dphi ${dphi[k % dphi.length]}°: ${v} /sr`);
+      }
+      Object.keys(grid).forEach((name) => grid[name].push(line[name]));
+    });
+    return { ...grid, peak };
+  }
+
+  function line3d(points, colour, width) {
+    return { type: "scatter3d", mode: "lines", hoverinfo: "skip", showlegend: false, line: { color: colour, width },
+      x: points.map((p) => p[0]), y: points.map((p) => p[1]), z: points.map((p) => p[2]) };
+  }
+
+  function guides(s) {
+    const { lamp, mirror } = data.colours;
+    const theta = data.incidences[s.incidence].theta;
+    const around = Array.from({ length: 73 }, (_, k) => 5 * k);
+    const rings = [30, 60, 90].map((t) =>
+      line3d(around.map((a) => direction(90, a).map((c) => c * Math.sin(t * rad))), "#b9b9b4", 2));
+    const edge = around.map((a) => direction(90, a));
+    const plane = { type: "mesh3d", x: edge.map((p) => p[0]), y: edge.map((p) => p[1]), z: edge.map(() => -0.012),
+      delaunayaxis: "z", color: data.colours.paper, hoverinfo: "skip", lighting: { ambient: 1, diffuse: 0, specular: 0 } };
+    const arc = line3d(around.slice(0, 37).map((a) => direction(a - 90, 0)), "#8a8a86", 2);
+    const ray = (phi, colour) => line3d([0, 1.3].map((r) => direction(theta, phi).map((c) => r * c)), colour, 5);
+    const apart = theta < 4 ? 0.15 : 0;
+    const ends = [[0, apart], [180, -apart]].map(([phi, aside]) =>
+      direction(theta, phi).map((c, k) => 1.4 * c + (k === 0 ? aside : 0)));
+    const names = { type: "scatter3d", mode: "text", hoverinfo: "skip", showlegend: false, text: ["lamp", "mirror"],
+      textfont: { ...FONT, color: [lamp, mirror] },
+      x: ends.map((p) => p[0]), y: ends.map((p) => p[1]), z: ends.map((p) => p[2]) };
+    return [plane, ...rings, arc, ray(0, lamp), ray(180, mirror), names];
+  }
+
+  function bar(s, peak) {
+    const title = { text: "BRDF · cos θₒ (1/sr)", side: "right" };
+    const common = { thickness: 12, len: 0.7, title, x: 1, exponentformat: "power", showexponent: "all" };
+    if (!s.logarithmic) return { colorbar: common, cmin: 0, cmax: peak };
+    const top = Math.log10(peak);
+    const marks = [0, 1, 2, 3].map((k) => top - k);
+    return { cmin: top - 3, cmax: top,
+      colorbar: { ...common, tickvals: marks, ticktext: marks.map((m) => (10 ** m).toPrecision(2)) } };
+  }
+
+  function drawLobe(s) {
+    const lobe = shape(s);
+    const surface = { type: "surface", x: lobe.x, y: lobe.y, z: lobe.z, surfacecolor: lobe.colour, text: lobe.text,
+      hoverinfo: "text", colorscale: "Viridis", connectgaps: false, ...bar(s, lobe.peak),
+      lighting: { ambient: 0.65, diffuse: 0.6, specular: 0.08, roughness: 0.7 },
+      contours: { x: { highlight: false }, y: { highlight: false }, z: { highlight: false } } };
+    const axis = (range) => ({ visible: false, range, showspikes: false });
+    const eye = { x: 1.35 * data.camera[0], y: 1.35 * data.camera[1], z: 1.35 * data.camera[2] };
+    const layout = { margin: { l: 0, r: 0, t: 0, b: 0 }, font: FONT, uirevision: "kept", paper_bgcolor: "#fff",
+      scene: { xaxis: axis([-1.45, 1.45]), yaxis: axis([-1.45, 1.45]), zaxis: axis([-0.1, 1.45]),
+        aspectmode: "manual", aspectratio: { x: 2.2, y: 2.2, z: 1.176 },
+        camera: { eye, center: { x: 0, y: 0, z: -0.03 }, projection: { type: "orthographic" } } } };
+    Plotly.react("lobe", [surface, ...guides(s)], layout, CONFIG);
+    return lobe.peak;
+  }
+
+  // --- The slice: the plane of incidence, with two standard errors ----------------------------------------------
+
+  const positive = (v) => (v !== null && v > 0 ? v : null);
+
+  function measured(s) {
+    const cut = data.slices[s.incidence];
+    const value = cut.value[s.order][s.channel].map(positive);
+    const error = cut.error[s.order][s.channel];
+    const colour = data.hues[s.channel];
+    const name = "measured";
+    const known = value.some((v, k) => v !== null && error[k] !== null);
+    const template = "theta_o %{x}°: %{y:.4g} /sr<extra></extra>";
+    if (!data.curves) {
+      const bars = known ? { error_y: { type: "data", array: error.map((e) => 2 * e), thickness: 1, width: 3 } } : {};
+      return [{ x: cut.angle, y: value, mode: "markers", marker: { color: colour, size: 7 }, name,
+        hovertemplate: template, ...bars }];
+    }
+    const lone = value.length === 1 ? "lines+markers" : value.some((v, k) =>
+      v !== null && (value[k - 1] ?? null) === null && (value[k + 1] ?? null) === null) ? "lines+markers" : "lines";
+    const curve = { x: cut.angle, y: value, mode: lone, line: { color: colour, width: 2.2 }, marker: { size: 4 }, name,
+      hovertemplate: template };
+    if (!known) return [curve];
+    const low = Math.min(...value.filter((v) => v !== null)) / 100;
+    // A band of its own for every unbroken run of values.
+    const x = [], y = [];
+    let run = [];
+    const close = () => {
+      run.forEach((k) => { x.push(cut.angle[k]); y.push(value[k] + 2 * error[k]); });
+      run.reverse().forEach((k) => { x.push(cut.angle[k]); y.push(Math.max(value[k] - 2 * error[k], low)); });
+      if (run.length) { x.push(null); y.push(null); }
+      run = [];
+    };
+    value.forEach((v, k) => { if (v === null || error[k] === null) close(); else run.push(k); });
+    close();
+    return [{ x, y, mode: "lines", fill: "toself", line: { width: 0 }, fillcolor: `${colour}40`, hoverinfo: "skip",
+      name: "± 2 standard errors" }, curve];
+  }
+
+  function modelled(s) {
+    const angle = data.slices[s.incidence].angle;
+    return data.models.map((model, k) => {
+      const [colour, dash] = MODELS[k % MODELS.length];
+      const other = model.order !== data.orders[s.order];
+      const words = data.order_words[data.orders.indexOf(model.order)];
+      return { x: angle, y: model.values[s.incidence][s.channel].map(positive), mode: data.curves ? "lines" : "markers",
+        name: other ? `${model.name} (${words})` : model.name, opacity: other ? 0.55 : 1,
+        line: { color: colour, dash, width: 1.8 }, marker: { color: colour, symbol: "diamond-open", size: 8 },
+        hovertemplate: "theta_o %{x}°: %{y:.4g} /sr<extra></extra>" };
+    });
+  }
+
+  function drawSlice(s) {
+    const theta = data.incidences[s.incidence].theta;
+    const traces = [...measured(s), ...modelled(s)];
+    const values = data.slices[s.incidence].value[s.order][s.channel].filter((v) => v !== null && v > 0);
+    const top = Math.log10(Math.max(...values, 1e-12)) + 0.25;
+    const bottom = values.length ? Math.log10(Math.min(...values)) - 0.25 : top - 1;
+    const mark = (angle, colour) => ({ type: "line", x0: angle, x1: angle, y0: 0, y1: 1, yref: "paper", layer: "below",
+      line: { color: colour, width: 1.5 } });
+    const name = (text, angle, colour, side) => ({ text, x: angle, y: 1, yref: "paper", yanchor: "bottom",
+      xanchor: side, showarrow: false, font: { ...FONT, color: colour } });
+    const { lamp, mirror } = data.colours;
+    const margin = { l: 64, r: 12, t: 48, b: 66 + 19 * traces.length };
+    const height = at("slice").clientHeight - margin.t - margin.b;
+    const sides = at("slice").clientWidth < 420 ? "" : ", lamp's side < 0 < mirror's";
+    const layout = { margin, font: FONT, hovermode: "closest", paper_bgcolor: "#fff",
+      plot_bgcolor: "#fff",
+      legend: { orientation: "h", x: 0, y: -58 / height, yanchor: "top", font: { ...FONT, size: 11 } }, showlegend: true,
+      xaxis: { range: [-90, 90], dtick: 30, title: { text: `theta_o (degrees)${sides}` },
+        gridcolor: "#dddddd", zeroline: false },
+      yaxis: { type: "log", range: [Math.max(bottom, top - data.decades), top], title: { text: "BRDF (1/sr)" },
+        gridcolor: "#dddddd", exponentformat: "power", dtick: top - bottom > 1.5 ? 1 : "D1" },
+      shapes: [mark(-theta, lamp), mark(theta, mirror)],
+      annotations: [name("lamp", -theta, lamp, theta < 20 ? "right" : "center"),
+        name("mirror", theta, mirror, theta < 20 ? "left" : "center")] };
+    Plotly.react("slice", traces, layout, CONFIG);
+  }
+
+  // --- Both -----------------------------------------------------------------------------------------------------
+
+  function show() {
+    const s = state();
+    const words = angles(s);
+    at("incidence-value").textContent = words;
+    at("incidence").setAttribute("aria-valuetext", words);
+    const parts = [words, data.channels[s.channel], data.order_words[s.order]];
+    if (data.lobes !== null) parts.push(`outer arc of the lobe at ${drawLobe(s).toPrecision(3)} /sr`);
+    drawSlice(s);
+    if (data.choice) parts.push(`${data.choice} are kept here`);
+    at("shown").textContent = parts.join(", ");
+    const others = data.models.some((model) => model.order !== data.orders[s.order]);
+    at("models-note").textContent = others
+      ? "Fainter models speak of other light than what is shown, as their names tell: choose it to compare." : "";
+  }
+
+  if (data.incidences.length === 1) at("incidence").hidden = true;
+  if (data.lobes === null) at("radius").parentElement.hidden = true;
+  if (data.orders.length === 1) at("order").parentElement.hidden = true;
+  ["incidence", "channel", "order", "radius"].forEach((name) => at(name).addEventListener("input", show));
+  let resizing = 0;
+  window.addEventListener("resize", () => { clearTimeout(resizing); resizing = setTimeout(show, 150); });
+  document.querySelector(".controls").addEventListener("submit", (event) => event.preventDefault());
+  // The words first: a browser needs a moment for its first picture.
+  requestAnimationFrame(() => setTimeout(() => { show(); performance.mark("drawn"); }));
+})();
