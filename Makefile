@@ -10,19 +10,22 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
+# Tests run side by side, and each on one core: linear algebra would take them all.
+TEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
+
 .PHONY: demo test check bench gallery clean
 
 demo: $(VENV)/demo
 	$(BIN)/gonio run configs/gold_beckmann.toml
 
 test: $(VENV)/test
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
+	$(TEST)
 
 check: $(VENV)/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
+	$(TEST)
 
 bench: $(VENV)/demo
 	$(BIN)/python benchmarks/everything.py

@@ -14,7 +14,7 @@ from gonio.compare import compare
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.models import CookTorrance, Lambert
 from gonio.plots import style
-from gonio.plots.slices import _Cut
+from gonio.plots.slices import Cut
 
 KINDS = [plots.lobes, plots.slices, plots.hemisphere]
 
@@ -103,7 +103,7 @@ def test_a_slice_has_the_mirrors_side_positive():
     """f = theta (2 - cos dphi) is 3 theta toward the mirror and theta toward the lamp."""
     made = from_function(lambda t, p: t * (2 - np.cos(np.radians(p))), HemisphereGrid(theta_step=2.0, phi_step=10.0))
     (incidence,), _ = style.choose_incidences(made)
-    cut = _Cut.of(made, incidence)
+    cut = Cut.of(made, incidence)
     value, _ = cut.read(incidence.data, "all", 550.0)
     away = np.abs(cut.angle) > 20
     np.testing.assert_allclose(value[away], np.where(cut.angle > 0, 3, 1)[away] * np.abs(cut.angle[away]), rtol=1e-12)
@@ -120,7 +120,7 @@ def test_pooled_errors_average_monte_carlo_noise_but_not_that_of_specimens():
     """n equal bins with errors 0.06 (independent) and 0.08 (common): hypot(0.06/sqrt n, 0.08)."""
     made = from_function(lambda t, p: 1.0, HemisphereGrid())
     (incidence,), _ = style.choose_incidences(made)
-    cut = _Cut.of(made, incidence)
+    cut = Cut.of(made, incidence)
     _, error = cut.read(incidence.data, "all", 550.0)
     members = np.diff(cut.weights.indptr)
     np.testing.assert_allclose(error, np.hypot(0.06 / np.sqrt(members), 0.08), rtol=1e-12)
@@ -192,7 +192,7 @@ def test_a_slice_averages_the_bins_that_are_known():
     grid = HemisphereGrid(theta_step=2.0, phi_step=10.0)
     made = foreign(Lambert(0.5), noise=0.1, detector=grid, unknown=((grid.dphi % 20 > 0) | (grid.dphi == 180))[:, None])
     (incidence,), _ = style.choose_incidences(made)
-    cut = _Cut.of(made, incidence)
+    cut = Cut.of(made, incidence)
     value, error = cut.read(incidence.data, "all", 550.0)
     brdf, errors = (incidence.data[name].sel(order="all").values[..., 0] for name in ("brdf", "standard_error"))
     # 0 and 20 degrees on the lamp's side; of the mirror's only 160 and 200.

@@ -1,0 +1,400 @@
+"""Computes the units of a campaign that are missing: in this process, or in several that may die at any moment.
+
+Work is idempotent: a unit's file is the same bytes whoever writes it. Runs in one folder therefore need no lock; what
+another one has claimed is only left for last.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gonio.campaign.folder import Folder
+
+if TYPE_CHECKING:
+    from gonio.campaign.sweep import Campaign
+    from gonio.campaign.units import Unit
+    from gonio.experiment import Experiment
+
+DEATHS = 3
+"""A unit whose worker died so often is given up."""
+
+REPORT_SECONDS = 0.5
+"""Workers tell how far they are this often."""
+
+STOP_SECONDS = 5.0
+"""Workers that do not end by then are killed."""
+
+
+@dataclass
+class State:
+    """How far a run is; `report` of `run` gets it a few times a second."""
+
+    units: int
+    """All of this run's, or of its shard's."""
+    kept: int
+    """Those that were there before."""
+    paths: int
+    """Of the units that this run has to compute."""
+    computed: int = 0
+    finished_paths: int = 0
+    current: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Of every worker the paths and rays of its unit so far."""
+    finished_rays: int = 0
+    failures: list[str] = field(default_factory=list)
+    """A sentence for every unit that could not be computed."""
+    deaths: int = 0
+    """Workers that died and were replaced."""
+    changed: bool = False
+    """Whether the folder held another campaign before."""
+
+    @property
+    def paths_done(self) -> int:
+        """Paths traced in this run."""
+        return self.finished_paths + sum(paths for paths, _ in self.current.values())
+
+    @property
+    def rays(self) -> int:
+        """Rays traced in this run."""
+        return self.finished_rays + sum(rays for _, rays in self.current.values())
+
+
+Report = Callable[[State], None]
+
+
+class Queue:
+    """The units that are missing, handed out so that each relief is built seldom, and others' work is done last."""
+
+    def __init__(self, units: Sequence[Unit], folder: Folder, run: str = "") -> None:
+        """`units` in their order; `run` is what a claim says besides host and process."""
+        self._folder, self._run = folder, run
+        finished = folder.finished()
+        missing = [unit for unit in units if unit.name not in finished]
+        names = {unit.name for unit in missing}
+        self._groups: dict[str, deque[Unit]] = {}
+        self._waiting: dict[str, list[Unit]] = {}
+        self._later: list[Unit] = []
+        self._deaths: dict[str, int] = {}
+        for unit in missing:
+            if unit.pilot in names:
+                self._waiting.setdefault(unit.pilot or "", []).append(unit)
+            else:
+                self._add(unit)
+        self._held: set[str] = set()
+        self.state = State(len(units), len(units) - len(missing), sum(unit.paths for unit in missing))
+
+    def take(self, relief: str | None = None, others: Sequence[str] = ()) -> Unit | None:
+        """A unit to compute now, of the relief that is built already if there is one, else of none of `others`."""
+        while unit := self._next(relief, others):
+            if self._folder.has(unit.name):
+                self._found(unit)
+            elif self._folder.claim(unit.name, self._run):
+                self._held.add(unit.name)
+                return unit
+            else:
+                self._later.append(unit)
+        # Whoever claimed these may be dead; computing one twice does no harm.
+        while self._later:
+            unit = self._later.pop()
+            if not self._folder.has(unit.name):
+                return unit
+            self._found(unit)
+        return None
+
+    def _found(self, unit: Unit) -> None:
+        """Another run has finished a unit."""
+        self.state.kept += 1
+        self.state.finished_paths += unit.paths
+        self._over(unit)
+
+    def _next(self, relief: str | None, others: Sequence[str]) -> Unit | None:
+        if not self._groups:
+            return None
+        if relief not in self._groups:
+            fresh = (name for name in self._groups if name not in others)
+            relief = next(fresh, None) or max(self._groups, key=lambda name: len(self._groups[name]))
+        unit = self._groups[relief or ""].popleft()
+        if not self._groups[unit.relief]:
+            del self._groups[unit.relief]
+        return unit
+
+    def settle(self, unit: Unit, failure: str | None, seat: int = 0, rays: int = 0) -> None:
+        """Worker `seat` has finished a unit with so many rays, or could not: the sentence why."""
+        self.state.current.pop(seat, None)
+        self.state.finished_rays += rays
+        self.state.finished_paths += unit.paths
+        if failure is None:
+            self.state.computed += 1
+        else:
+            self.state.failures.append(f"experiment {unit.experiment + 1}, realisation {unit.realisation}: {failure}")
+        self._over(unit)
+
+    def _over(self, unit: Unit) -> None:
+        """A unit is finished, or given up: others may have waited for it."""
+        self._release(unit)
+        for other in self._waiting.pop(unit.name, ()):
+            self._add(other)
+
+    def died(self, unit: Unit) -> bool:
+        """The worker of a unit died; whether the unit will be tried again."""
+        self._deaths[unit.name] = self._deaths.get(unit.name, 0) + 1
+        if self._deaths[unit.name] >= DEATHS:
+            return False
+        self._release(unit)
+        self._add(unit)
+        return True
+
+    def release_all(self) -> None:
+        """The run ends: take back what it still claims."""
+        for name in tuple(self._held):
+            self._folder.release(name)
+        self._held.clear()
+
+    def _release(self, unit: Unit) -> None:
+        self._held.discard(unit.name)
+        self._folder.release(unit.name)
+
+    def _add(self, unit: Unit) -> None:
+        self._groups.setdefault(unit.relief, deque()).append(unit)
+
+
+def run(
+    campaign: Campaign,
+    folder: str | Path,
+    *,
+    workers: int = 0,
+    shard: tuple[int, int] = (1, 1),
+    threads: int | None = None,
+    report: Report | None = None,
+) -> State:
+    """Compute the units of a campaign that `folder` lacks.
+
+    With `workers` so many processes share the cores, otherwise this process uses all of them or `threads`. `shard`
+    (i, n) computes the i-th of n parts only. What is finished is kept whatever happens; calling again continues.
+
+    Raises `InputError` for what cannot be run, OSError where nothing can be written, and KeyboardInterrupt.
+    """
+    from gonio.campaign.units import Plan
+
+    plan, home = Plan.of(campaign), Folder(Path(folder))
+    manifest = plan.manifest()
+    _refuse_other_versions(home, manifest["versions"])
+    changed = home.create(manifest)
+    units = plan.shard(*shard)
+    queue = Queue(units, home, f", shard {shard[0]}/{shard[1]}" if shard[1] > 1 else "")
+    queue.state.changed = changed
+    told = report or (lambda _: None)
+    if workers:
+        _Crew(campaign.experiments, queue, told, home, threads or max(1, cores() // workers)).run(workers)
+    else:
+        _alone(campaign.experiments, queue, told, home, threads or cores())
+    return queue.state
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _refuse_other_versions(folder: Folder, versions: dict[str, str]) -> None:
+    """Raise `InputError` if the folder was begun with packages that may give other numbers."""
+    from gonio.experiment import InputError
+
+    if not (folder.path / "manifest.json").exists():
+        return
+    try:
+        begun = folder.manifest()["versions"]
+    except (InputError, KeyError):  # a damaged manifest is written anew
+        return
+    differing = [f"{name} {begun.get(name)}, now {now}" for name, now in versions.items() if begun.get(name) != now]
+    if differing:
+        raise InputError(
+            f"{folder.path} was begun with other versions, which may give other numbers ({'; '.join(differing)}): "
+            "install those, or give another folder."
+        )
+
+
+def _attempt(work: Callable[[], None]) -> str | None:
+    """Do `work`; the sentence of what is wrong with this unit, if anything."""
+    from gonio.experiment import InputError
+
+    try:
+        work()
+    except InputError as error:
+        return str(error)
+    except MemoryError as error:
+        return f"not enough memory: {error or 'make the surface, the detector or the number of workers smaller'}."
+    return None
+
+
+# --- In this process -------------------------------------------------------------------------------------------------
+
+
+def _alone(experiments: Sequence[Experiment], queue: Queue, report: Report, folder: Folder, threads: int) -> None:
+    """Compute all units here, one after another."""
+    from gonio.campaign.units import Bench
+
+    bench, relief, state = Bench(folder, threads), None, queue.state
+
+    def progress(paths: int, total: int, rays: int) -> None:
+        state.current[0] = paths, rays
+        report(state)
+
+    try:
+        while unit := queue.take(relief):
+            relief = unit.relief
+            failure = _attempt(lambda unit=unit: bench.measure(unit, experiments[unit.experiment], progress))  # type: ignore[misc]
+            queue.settle(unit, failure, rays=state.current.get(0, (0, 0))[1])
+            report(state)
+    finally:
+        queue.release_all()
+
+
+# --- In processes of their own ---------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Seat:
+    """A place for a worker: the process that sits there now, and what it computes."""
+
+    process: Any
+    connection: Connection
+    unit: Unit | None = None
+    relief: str | None = None
+
+
+class _Crew:
+    """Workers, and who has which unit. They write their units themselves, so that little passes through here."""
+
+    def __init__(
+        self, experiments: Sequence[Experiment], queue: Queue, report: Report, folder: Folder, threads: int
+    ) -> None:
+        self._experiments, self._queue, self._state, self._report = experiments, queue, queue.state, report
+        self._task = str(folder.path), threads
+        self._seats: list[_Seat] = []
+
+    def run(self, workers: int) -> None:
+        """Compute all units with so many processes."""
+        try:
+            self._seats = [self._hired() for _ in range(min(workers, self._state.units - self._state.kept))]
+            while True:
+                for number, seat in enumerate(self._seats):
+                    if seat.unit is None:
+                        self._assign(number)
+                busy = [seat.connection for seat in self._seats if seat.unit is not None]
+                if not busy:
+                    break
+                ready = wait(busy, timeout=REPORT_SECONDS)
+                for number, seat in enumerate(self._seats):
+                    if seat.connection in ready:
+                        self._listen(number)
+                self._report(self._state)
+            self._dismiss(STOP_SECONDS)
+        finally:
+            self._dismiss(0.0)
+            self._queue.release_all()
+
+    def _hired(self) -> _Seat:
+        """A new worker. It is spawned, not forked: threads and locks of this process are none of its business."""
+        context = multiprocessing.get_context("spawn")
+        here, there = context.Pipe()
+        process = context.Process(target=_work, args=(there, *self._task), daemon=True)
+        process.start()
+        there.close()  # so that this end tells when the worker dies
+        return _Seat(process, here)
+
+    def _assign(self, number: int) -> None:
+        """Give a worker its next unit, if there is one for it."""
+        seat = self._seats[number]
+        others = [other.relief for other in self._seats if other is not seat and other.unit and other.relief]
+        unit = self._queue.take(seat.relief, others)
+        if unit is None:
+            return
+        seat.unit, seat.relief = unit, unit.relief
+        with contextlib.suppress(OSError):  # it is dead: heard of in `_listen`
+            seat.connection.send((unit, self._experiments[unit.experiment]))
+
+    def _listen(self, number: int) -> None:
+        """Take what a worker tells: how far it is, that it has finished, or that it is dead."""
+        seat = self._seats[number]
+        assert seat.unit is not None
+        try:
+            kind, content = seat.connection.recv()
+        except (EOFError, OSError):
+            self._replace(number)
+            return
+        if kind == "progress":
+            self._state.current[number] = content
+        elif kind == "done":
+            unit, seat.unit = seat.unit, None
+            self._queue.settle(unit, content[0], number, content[1])
+        else:
+            raise content
+
+    def _replace(self, number: int) -> None:
+        """Another worker in place of a dead one; its unit is computed again."""
+        seat, self._state.deaths = self._seats[number], self._state.deaths + 1
+        assert seat.unit is not None
+        seat.connection.close()
+        seat.process.join()
+        self._state.current.pop(number, None)
+        if not self._queue.died(seat.unit):
+            end = f"its worker died {DEATHS} times (exit code {seat.process.exitcode}), as when memory is short."
+            self._queue.settle(seat.unit, end, number)
+        self._seats[number] = self._hired()
+
+    def _dismiss(self, patience: float) -> None:
+        """End all workers: a worker whose connection is closed goes by itself, or is made to."""
+        for seat in self._seats:
+            seat.connection.close()
+            if patience == 0.0:
+                seat.process.kill()
+        for seat in self._seats:
+            seat.process.join(patience or None)
+            if seat.process.exitcode is None:
+                seat.process.kill()
+                seat.process.join()
+        self._seats = []
+
+
+def _work(connection: Connection, folder: str, threads: int) -> None:
+    """The life of a worker: computes the units that come through `connection` until it is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the coordinator's matter
+    from gonio.campaign.units import Bench
+
+    bench, last, traced = Bench(Folder(Path(folder)), threads), 0.0, 0
+
+    def progress(paths: int, total: int, rays: int) -> None:
+        nonlocal last, traced
+        traced = rays
+        if time.monotonic() - last >= REPORT_SECONDS:
+            last = time.monotonic()
+            connection.send(("progress", (paths, rays)))
+
+    # The coordinator may be gone at any moment, too.
+    with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        while True:
+            unit, experiment = connection.recv()
+            traced = 0
+            try:
+                failure = _attempt(lambda u=unit, e=experiment: bench.measure(u, e, progress))  # type: ignore[misc]
+            except (BrokenPipeError, ConnectionResetError):
+                return
+            except OSError as error:
+                connection.send(("stop", error))
+            except Exception:
+                connection.send(("stop", RuntimeError(f"a worker failed:\n{traceback.format_exc()}")))
+            else:
+                connection.send(("done", (failure, traced)))

@@ -1,0 +1,103 @@
+"""Puts finished units together: a measurement for every experiment, the same bytes as `Experiment.run` would give."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from gonio.campaign.folder import DamagedError, Folder, name_of, write_whole
+from gonio.campaign.units import joined
+from gonio.experiment import Experiment
+from gonio.measurement import Measurement, save
+
+
+@dataclass
+class Merged:
+    """What `merge` did."""
+
+    files: list[Path] = field(default_factory=list)
+    """The measurements that are complete."""
+    incomplete: int = 0
+    """Experiments that lack units."""
+    damaged: list[str] = field(default_factory=list)
+    """A sentence for every damaged unit, which has been set aside: run the campaign again."""
+    processors: set[str] = field(default_factory=set)
+    """Instruction sets that the units were computed with: the same bits are promised on the same one only."""
+
+
+def merge(folder: str | Path, progress: Callable[[int, int], None] | None = None) -> Merged:
+    """Write DIR/measurements/NUMBER-HASH.nc for every experiment whose units are all there, and index.csv.
+
+    Raises `InputError` where there is no campaign, OSError where nothing can be written.
+    """
+    home, result, rows = Folder(Path(folder)), Merged(), list[tuple[dict[str, Any], str]]()
+    entries, finished = home.manifest()["experiments"], home.finished()
+    home.measurements.mkdir(exist_ok=True)
+    for number, entry in enumerate(entries):
+        measurement = _measurement(home, entry, result) if finished.issuperset(entry["units"]) else None
+        if measurement is None:
+            result.incomplete += 1
+            rows.append((entry["parameters"], ""))
+        else:
+            path = home.measurements / _file_of(number, len(entries), entry)
+            result.files.append(save(measurement, path))
+            rows.append((entry["parameters"], path.name))
+        if progress:
+            progress(number + 1, len(entries))
+    write_whole(home.measurements / "index.csv", _index(rows).encode())
+    return result
+
+
+def _file_of(number: int, count: int, entry: Mapping[str, Any]) -> str:
+    """The name of an experiment's measurement; its hash tells it from that of an earlier sweep."""
+    return f"{number + 1:0{max(4, len(str(count)))}d}-{name_of([entry['experiment'], entry['units']])[:8]}.nc"
+
+
+def _measurement(home: Folder, entry: Mapping[str, Any], result: Merged) -> Measurement | None:
+    """The measurement of one experiment; None if a unit is damaged."""
+    experiment = TypeAdapter(Experiment).validate_json(json.dumps(entry["experiment"]))
+    units = iter(entry["units"])
+    each = len(entry["units"]) // experiment.realisations
+    merged: Measurement | None = None
+    processors, sound = set[str](), True
+    for _ in range(experiment.realisations):
+        parts = []
+        for unit in (next(units) for _ in range(each)):
+            try:
+                parts.append(home.read(unit))
+            except DamagedError as error:
+                sound = False
+                result.damaged.append(f"{unit} is damaged, {error}: set aside as {home.set_aside(unit)}.")
+        if sound:
+            processors |= {note["attributes"].pop("instruction_set") for note, _ in parts}
+            part = joined(experiment, parts)
+            merged = part if merged is None else merged.merge(part)
+    if merged is None or not sound:
+        return None
+    result.processors |= processors
+    described = experiment._described(merged, interrupted=False)
+    # Of the machines that measured, not of this one.
+    return replace(described, attributes=described.attributes | {"instruction_set": ", ".join(sorted(processors))})
+
+
+def _index(rows: list[tuple[dict[str, Any], str]]) -> str:
+    """The table of all experiments as CSV: number, file (empty if incomplete), and the swept parameters."""
+    keys = list(dict.fromkeys(key for point, _ in rows for key in point))
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["experiment", "file", *keys])
+    for number, (point, file) in enumerate(rows, 1):
+        table.writerow([number, file, *(_cell(point.get(key)) for key in keys)])
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """A parameter's value as it stands in a table; tables and lists as JSON."""
+    return json.dumps(value) if isinstance(value, dict | list) else "" if value is None else value
