@@ -94,6 +94,7 @@ class Cut:
 
     @classmethod
     def of(cls, measurement: Measurement, incidence: Incidence) -> Cut:
+        """The bins of this incidence that lie in its plane."""
         from scipy.sparse import csr_array
 
         select = _sectors_in_plane if has_hemisphere(measurement) else _apertures_in_plane
