@@ -114,11 +114,7 @@ class HemisphereGrid:
     def owner(self, w: ArrayLike, wi: ArrayLike) -> NDArray[np.intp]:
         """The bin that each direction `w` (..., 3) above the horizon lies in for light from `wi` (3,), (...)."""
         rings, sectors = self.shape
-        theta, phi = angles(w)
-        ring = np.clip(np.searchsorted(self.theta_edges, theta, side="right") - 1, 0, rings - 1)
-        sector = np.floor((phi - angles(wi)[1]) / 360 * sectors + 0.5).astype(np.intp) % sectors
-        # The pole is in the first sector.
-        return np.asarray(ring * sectors + np.where(theta > 1e-9, sector, 0))
+        return ringed(self.theta_edges, np.full(rings, sectors), w, float(angles(wi)[1]))
 
     def owners(self, wider: HemisphereGrid) -> NDArray[np.intp]:
         """The bin of `wider` that each of our bins lies in, (bins,); a ValueError if one lies in several."""
@@ -233,11 +229,7 @@ class Klems:
 
     def owner(self, w: ArrayLike, wi: ArrayLike = (0.0, 0.0, 1.0)) -> NDArray[np.intp]:
         """As `HemisphereGrid.owner`; here `wi` does not matter."""
-        theta, phi = angles(w)
-        ring = np.clip(np.searchsorted(self.theta_edges, theta, side="right") - 1, 0, len(self.sectors) - 1)
-        sectors = self.sectors[ring]
-        sector = np.floor(phi / 360 * sectors + 0.5).astype(np.intp) % sectors
-        return np.asarray(np.cumsum(self.sectors)[ring] - sectors + sector)
+        return ringed(self.theta_edges, self.sectors, w)
 
     def limits(self, bins: NDArray[np.intp] | None = None) -> tuple[Floats, Floats]:
         """Lower and upper polar angle (bins, 2), and azimuth of the centre and half the width (bins, 2), degrees."""
@@ -267,6 +259,18 @@ _KLEMS = {
     "quarter": ((9, 1), (27, 8), (45, 12), (63, 12), (90, 8)),
 }
 """Upper polar edge in degrees, and number of patches, of every ring (Klems, ASHRAE Trans. 100(1), 1994; WINDOW 7)."""
+
+
+def ringed(theta_edges: ArrayLike, sectors: ArrayLike, w: ArrayLike, phi: float = 0.0) -> NDArray[np.intp]:
+    """The bin that each direction `w` (..., 3) lies in, ring after ring between `theta_edges` in degrees, (...).
+
+    Ring k has `sectors[k]` equal sectors, the first centred on azimuth `phi` in degrees; the pole is in the first.
+    """
+    theta, azimuth = angles(w)
+    counts = np.asarray(sectors)
+    ring = np.clip(np.searchsorted(np.asarray(theta_edges), theta, side="right") - 1, 0, len(counts) - 1)
+    sector = np.floor((azimuth - phi) / 360 * counts[ring] + 0.5).astype(np.intp) % counts[ring]
+    return np.asarray(np.cumsum(counts)[ring] - counts[ring] + np.where(theta > 1e-9, sector, 0))
 
 
 def patch_quadrature(polar: Floats, phi: Floats, half_width: Floats, nodes: int) -> tuple[Vectors, Floats]:

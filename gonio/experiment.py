@@ -100,9 +100,9 @@ class Experiment:
         each mistake.
         """
         path = Path(path)
-        table = _read_toml(path, "an experiment needs at least the tables [surface] and [material]")
-        mistakes = [sentence for override in overrides for sentence in _override(table, override)]
-        _resolve_paths(table, path.absolute().parent)
+        table = read_toml(path, "an experiment needs at least the tables [surface] and [material]")
+        mistakes = [sentence for override in overrides for sentence in override_value(table, override)]
+        resolve_paths(table, path.absolute().parent)
         try:
             experiment = TypeAdapter(cls).validate_json(json.dumps(table, default=str))
         except ValidationError as error:
@@ -142,8 +142,8 @@ class Experiment:
         try:
             if isinstance(self.surface, VGrooves):
                 # The slopes of all tiles together follow the distribution: one seed, one tile each.
-                return self.surface.build(self._seed("surface"), strip=realisation, strips=self.realisations)
-            return self.surface.build(self._seed("surface", realisation))
+                return self.surface.build(self.seed_of("surface"), strip=realisation, strips=self.realisations)
+            return self.surface.build(self.seed_of("surface", realisation))
         except (ValueError, OSError) as error:
             raise InputError(f"surface: {error}") from error
 
@@ -167,11 +167,11 @@ class Experiment:
         whole = _Whole(progress, self.realisations)
         for k in range(self.realisations):
             try:
-                part = self.goniometer.measure(self.scene(k), self._seed("light", k), threads, whole, replicates)
+                part = self.goniometer.measure(self.scene(k), self.seed_of("light", k), threads, whole, replicates)
             except KeyboardInterrupt:
                 if merged is None:
                     raise
-                return self._described(merged, interrupted=True)
+                return self.described(merged, interrupted=True)
             except ValueError as error:
                 raise error if isinstance(error, InputError) else InputError(f"goniometer.{error}") from None
             merged = part if merged is None else merged.merge(part)
@@ -181,15 +181,15 @@ class Experiment:
                 replicates = merged.counted["replicates"].values.ravel().tolist()
             whole.next()
         assert merged is not None
-        return self._described(merged, merged.interrupted)
+        return self.described(merged, merged.interrupted)
 
-    def _described(self, measurement: Measurement, interrupted: bool) -> Measurement:
+    def described(self, measurement: Measurement, interrupted: bool) -> Measurement:
         """The measurement with its provenance (this experiment, what made it) and its certificate."""
         provenance = {
             "title": self.title or measurement.attributes["title"],
             "experiment": json.dumps(self.to_dict()),
             "seed": str(self.seed),
-            "instruction_set": _instruction_set(),
+            "instruction_set": instruction_set(),
             "interrupted": int(interrupted),
         }
         described = replace(measurement, attributes=measurement.attributes | provenance)
@@ -199,9 +199,9 @@ class Experiment:
     @property
     def surface_seed(self) -> int:
         """The seed that the first realisation of the surface is built with."""
-        return self._seed("surface")
+        return self.seed_of("surface")
 
-    def _seed(self, purpose: str, realisation: int = 0) -> int:
+    def seed_of(self, purpose: str, realisation: int = 0) -> int:
         """A 64-bit seed that depends on the experiment's seed, the purpose and the realisation only."""
         entropy = (self.seed, realisation, *purpose.encode())
         return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0])
@@ -228,7 +228,7 @@ class _Whole:
         self.rays_before = self.rays
 
 
-def _instruction_set() -> str:
+def instruction_set() -> str:
     """The processor that kernels are compiled for: the same versions give the same bits on the same one."""
     from llvmlite import binding
 
@@ -269,7 +269,7 @@ def models_for(measurement: Measurement, names: Iterable[str] | None = None, to_
 
 def _models_of_file(path: Path, specimen: Specimen, to_fit: bool) -> list[Model]:
     """The models of a TOML file's tables [[model]]; `InputError` in a sentence for each mistake."""
-    tables = _read_toml(path, "it needs tables [[model]] with a kind").get("model")
+    tables = read_toml(path, "it needs tables [[model]] with a kind").get("model")
     tables = [tables] if isinstance(tables, dict) else tables
     if not isinstance(tables, list) or not all(isinstance(table, dict) and "kind" in table for table in tables):
         raise InputError(f'{path}: has no tables [[model]] with a kind, such as [[model]] kind = "CookTorrance".')
@@ -293,7 +293,7 @@ def write_models(models: Iterable[Model], path: str | Path) -> Path:
     return Path(path)
 
 
-def _read_toml(path: Path, needs: str) -> dict[str, Any]:
+def read_toml(path: Path, needs: str) -> dict[str, Any]:
     """The tables of a TOML file; `InputError` if there are none, with what it `needs`."""
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -324,7 +324,7 @@ def _nearby(path: Path) -> str:
     return f"; did you mean {path.with_name(near[0])}?" if near else "."
 
 
-def _override(table: dict[str, Any], override: str) -> list[str]:
+def override_value(table: dict[str, Any], override: str) -> list[str]:
     """Put "key.key=value" into `table`; the mistakes in it, as sentences."""
     key, equals, text = (part.strip() for part in override.partition("="))
     if not equals or not re.fullmatch(r"[\w-]+(\.[\w-]+)*", key) or not text:
@@ -338,13 +338,13 @@ def _override(table: dict[str, Any], override: str) -> list[str]:
     return []
 
 
-def _resolve_paths(table: Mapping[str, Any], folder: Path) -> None:
+def resolve_paths(table: Mapping[str, Any], folder: Path) -> None:
     """Make every `path` in the surface's table absolute, in place; relative ones are beside the TOML file."""
     for child in table.values():
         if isinstance(child, dict):
             if isinstance(child.get("path"), str):
                 child["path"] = str(folder / child["path"])
-            _resolve_paths(child, folder)
+            resolve_paths(child, folder)
 
 
 def _kind_first(table: dict[str, Any]) -> dict[str, Any]:

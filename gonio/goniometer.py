@@ -135,7 +135,7 @@ class Goniometer:
         _refuse_what_cannot_fit(self, workers)
         incidences = self.incidences()
         job = _Job(self, scene, seed, workers, progress, len(incidences))
-        sums = _empty_sums(self)
+        sums = empty_sums(self)
         interrupted = False
         # The sums of one incidence are entered while the next is measured.
         with ThreadPoolExecutor(1) as clerk:
@@ -299,7 +299,8 @@ def _key(seed: int, theta: float, phi: float) -> tuple[int, int]:
     return low, high
 
 
-def _empty_sums(goniometer: Goniometer) -> Any:
+def empty_sums(goniometer: Goniometer) -> Any:
+    """The sums of a measurement of which nothing has been counted yet."""
     import xarray as xr
 
     theta_i, phi_i = goniometer.axes()

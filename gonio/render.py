@@ -7,7 +7,10 @@ and sky. Values are radiances in linear sRGB.
 
 from __future__ import annotations
 
+import functools
 import os
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,8 +36,16 @@ PathLike = str | os.PathLike[str]
 SCENES = ("sphere", "cylinder", "ball")
 """A sphere or an upright cylinder on a floor, and a ball alone, as `appearance.sphere` shows it."""
 
-VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
-"""Of Mitsuba, the fastest first."""
+FAST, SAFE = "llvm_ad_rgb", "scalar_rgb"
+"""Variants of Mitsuba: the first compiles with LLVM, a library of its own, which may be missing or too old."""
+
+PROBE = f"""
+import mitsuba as mi
+mi.set_variant({FAST!r})
+scene = {{name: {{"type": kind}} for name, kind in dict(a="path", b="perspective", c="constant", d="sphere").items()}}
+print(mi.render(mi.load_dict({{"type": "scene", **scene}}), spp=1)[0, 0, 0])
+"""
+"""A program that ends well where the fast variant works."""
 
 FLOOR = 0.35
 """Reflectance of the floor."""
@@ -108,8 +119,12 @@ def _mitsuba() -> Iterator[ModuleType]:
     """Mitsuba in a variant that works here; the one that was set before is set again."""
     try:
         import mitsuba as mi
-    except ImportError:
-        raise RuntimeError("rendering needs Mitsuba 3, which is not installed: pip install mitsuba") from None
+    except (ImportError, NameError):
+        # Mitsuba trips over a name of its own where a library of the system is missing.
+        raise RuntimeError(
+            "rendering needs Mitsuba 3, which is not installed or cannot be loaded: pip install mitsuba (and on a bare "
+            "Debian apt-get install libatomic1)"
+        ) from None
     before = mi.variant()
     try:
         _choose_variant(mi)
@@ -120,15 +135,15 @@ def _mitsuba() -> Iterator[ModuleType]:
 
 
 def _choose_variant(mi: ModuleType) -> None:
-    """Set the fastest variant that works: LLVM is a library of its own, which may be missing."""
-    for variant in VARIANTS:
-        try:
-            mi.set_variant(variant)
-            mi.load_dict({"type": "sphere"})
-        except (ImportError, RuntimeError):
-            continue
-        return
-    raise RuntimeError(f"this Mitsuba has none of the variants {', '.join(VARIANTS)}: pip install mitsuba")
+    """Set the fast variant if it works, or the one that needs nothing but Mitsuba."""
+    mi.set_variant(FAST if _fast_variant_works() else SAFE)
+
+
+@functools.cache
+def _fast_variant_works() -> bool:
+    """Whether a small picture can be rendered; in a process of its own, because old LLVM libraries end theirs."""
+    done = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, check=False)
+    return done.returncode == 0
 
 
 # --- The world -------------------------------------------------------------------------------------------------------

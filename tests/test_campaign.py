@@ -779,7 +779,7 @@ def test_status_tells_who_works_on_it(run: Gonio, copied: Path) -> None:
 
 
 def test_progress_is_plain_lines_without_a_terminal(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gonio.cli.PLAIN_PROGRESS_SECONDS", 0.0)
+    monkeypatch.setattr("gonio.cli.campaigns.PLAIN_PROGRESS_SECONDS", 0.0)
     code, _, err = run("run", "toy.toml", "-o", "c")
     assert code == 0
     lines = err.splitlines()

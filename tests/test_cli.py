@@ -75,7 +75,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves out the pictures, which take longer than all the rest."""
-    monkeypatch.setattr("gonio.cli._draw", lambda *_: [])
+    monkeypatch.setattr("gonio.cli.measuring._draw", lambda *_: [])
 
 
 @pytest.fixture(scope="module")

@@ -192,6 +192,17 @@ def test_the_suffix_or_the_format_decides(measurement, tmp_path):
         gonio.load(tmp_path / "missing.exr")
 
 
+def test_formats_that_share_a_suffix_are_told_apart(measurement, tmp_path):
+    """.bsdf is RGL's and Zemax's."""
+    one = measurement.declared_isotropic()
+    for name, origin in (("rgl", "RGL"), ("zemax", "Zemax")):
+        path = gonio.export(one, tmp_path / f"{name}.bsdf", name).path
+        assert gonio.load(path).attributes["origin"].startswith(origin)
+    (tmp_path / "none.bsdf").write_text("neither")
+    with pytest.raises(ValueError, match=r"tensor file.*none\.bsdf"):
+        gonio.load(tmp_path / "none.bsdf")
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_has_a_page(name):
     assert len(FORMATS[name].page) > 300

@@ -2,6 +2,7 @@
 
 import re
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -155,3 +156,14 @@ def test_without_mitsuba_one_sentence_says_what_to_install(gold, tmp_path, monke
     assert (code, out, err.count("\n")) == (1, "", 1)
     assert "pip install mitsuba" in err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("program", "variant"), [("import os; os.abort()", "scalar_rgb"), ("pass", "llvm_ad_rgb")])
+def test_a_compiler_that_would_end_the_program_is_not_used(program, variant, monkeypatch):
+    """Old LLVM libraries abort the process that uses them, as Debian 12's does."""
+    chosen = []
+    render._fast_variant_works.cache_clear()
+    monkeypatch.setattr(render, "PROBE", program)
+    render._choose_variant(SimpleNamespace(set_variant=chosen.append))
+    render._fast_variant_works.cache_clear()
+    assert chosen == [variant]

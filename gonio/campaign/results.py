@@ -82,7 +82,7 @@ def _measurement(home: Folder, entry: Mapping[str, Any], result: Merged) -> Meas
     if merged is None or not sound:
         return None
     result.processors |= processors
-    described = experiment._described(merged, interrupted=False)
+    described = experiment.described(merged, interrupted=False)
     # Of the machines that measured, not of this one.
     return replace(described, attributes=described.attributes | {"instruction_set": ", ".join(sorted(processors))})
 

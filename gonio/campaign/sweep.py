@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from gonio.experiment import Experiment, InputError, _override, _read_toml, _resolve_paths
+from gonio.experiment import Experiment, InputError, override_value, read_toml, resolve_paths
 from microsurfaces.recipe import as_toml, did_you_mean, parameters, sentences
 
 MAX_EXPERIMENTS = 100_000
@@ -50,9 +50,9 @@ class Campaign:
         Files that it names are looked for beside it. Raises `InputError` with one sentence for each mistake.
         """
         path = Path(path)
-        table = _read_toml(path, _NEEDS)
+        table = read_toml(path, _NEEDS)
         base, mistakes = _base(table, path), []
-        mistakes += [sentence for override in overrides for sentence in _override(base, override)]
+        mistakes += [sentence for override in overrides for sentence in override_value(base, override)]
         points = _Sweep(mistakes).points(table.get("sweep", {}), "sweep", "")
         if mistakes:
             raise _too_many(mistakes)
@@ -87,8 +87,8 @@ def _base(table: Mapping[str, Any], path: Path) -> dict[str, Any]:
         base, folder = dict(table["experiment"]), path
     else:
         folder = path.parent / table["base"]
-        base = _read_toml(folder, "an experiment needs at least the tables [surface] and [material]")
-    _resolve_paths(base, folder.absolute().parent)
+        base = read_toml(folder, "an experiment needs at least the tables [surface] and [material]")
+    resolve_paths(base, folder.absolute().parent)
     return base
 
 
@@ -123,7 +123,7 @@ def _with(base: Mapping[str, Any], point: Point, folder: Path) -> dict[str, Any]
             if not isinstance(inner, dict):
                 raise InputError(f"sweep.{key}: {parent} is a value of the experiment, not a table.")
         inner[name] = copy.deepcopy(value)
-    _resolve_paths(table, folder)
+    resolve_paths(table, folder)
     return table
 
 

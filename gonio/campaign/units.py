@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gonio.campaign.folder import DamagedError, Folder, name_of
 from gonio.campaign.sweep import Campaign
 from gonio.detectors import Klems
-from gonio.experiment import Experiment, InputError, _instruction_set
+from gonio.experiment import Experiment, InputError, instruction_set
 from gonio.goniometer import Goniometer, Progress
 from gonio.measurement import Measurement
 from gonio.scene import Scene
@@ -193,7 +193,7 @@ class Bench:
             raise InputError("surface: its file has changed since the campaign was started; start it again.")
         replicates = None if unit.pilot is None else self._replicates(unit, experiment)
         goniometer = _narrowed(experiment.goniometer, unit.incidence)
-        scene, seed = self._scene(unit, experiment), experiment._seed("light", unit.realisation)
+        scene, seed = self._scene(unit, experiment), experiment.seed_of("light", unit.realisation)
         try:
             part = goniometer.measure(scene, seed, self.threads, progress, replicates)
         except ValueError as error:
@@ -205,7 +205,7 @@ class Bench:
             "unit": key,
             "theta_i": sums["theta_i"].values.tolist(),
             "phi_i": sums["phi_i"].values.tolist(),
-            "attributes": part.attributes | {"instruction_set": _instruction_set()},
+            "attributes": part.attributes | {"instruction_set": instruction_set()},
         }
         self.folder.write(unit.name, note, {str(name): sums[name].values for name in sums.data_vars})
 
@@ -253,9 +253,9 @@ def joined(experiment: Experiment, units: Sequence[tuple[dict[str, Any], dict[st
     """One realisation from all its units' notes and sums: what `Goniometer.measure` would have returned."""
     from pydantic import TypeAdapter
 
-    from gonio.goniometer import _empty_sums
+    from gonio.goniometer import empty_sums
 
-    sums = _empty_sums(experiment.goniometer)
+    sums = empty_sums(experiment.goniometer)
     for note, arrays in units:
         rows = np.searchsorted(sums["theta_i"].values, note["theta_i"])
         columns = np.searchsorted(sums["phi_i"].values, note["phi_i"])

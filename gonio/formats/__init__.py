@@ -138,9 +138,22 @@ def load(path: str | os.PathLike[str], format: str | None = None) -> Measurement
     path = Path(path)
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file")
-    if format is None and path.suffix.lower() not in {f.suffix for f in FORMATS.values()}:
+    suffix = path.suffix.lower()
+    readers = [FORMATS[_name(path, format)]] if format else [f for f in FORMATS.values() if f.suffix == suffix]
+    if not readers:
         return measurement.load(path)
-    return FORMATS[_name(path, format)].read(path).measured()
+    return _read(path, list({reader.module: reader for reader in reversed(readers)}.values())[::-1]).measured()
+
+
+def _read(path: Path, readers: Sequence[Format]) -> Lobes:
+    """What the first of `readers` that knows the file makes of it: formats may share nothing but a suffix."""
+    complaints = []
+    for reader in readers:
+        try:
+            return reader.read(path)
+        except ValueError as error:
+            complaints.append(str(error))
+    raise ValueError("; ".join(complaints))
 
 
 def _name(path: Path, format: str | None) -> str:

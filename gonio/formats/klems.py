@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.detectors import Klems
+from gonio.detectors import Klems, ringed
 from gonio.formats.lobes import Floats, Lobes
-from gonio.sphere import Vectors, angles, direction
+from gonio.sphere import Vectors, direction
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,7 @@ class AngleBasis:
 
     def index(self, w: Vectors) -> NDArray[np.intp]:
         """The patch around each of the directions `w` (n, 3), which count as exiting."""
-        theta, phi = angles(w)
-        ring = np.clip(np.searchsorted(self.edges, theta, side="right") - 1, 0, len(self.counts) - 1)
-        count = np.array(self.counts)[ring]
-        return np.asarray(self.starts[ring] + np.floor(phi / 360 * count + 0.5).astype(np.intp) % count)
+        return ringed(self.edges, self.counts, w)
 
     def directions(self, x: Floats, y: Floats) -> Vectors:
         """Exiting directions (patches, n, 3) at shares `x` of the projected area and `y` of the azimuths (n,)."""

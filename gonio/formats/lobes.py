@@ -104,10 +104,6 @@ class Lobes:
             return tuple(f"{np.format_float_positional(nm, trim='-')}nm" for nm in self.wavelengths)
         return tuple(self.basis)
 
-    def as_spectrum_or(self, basis: Basis) -> Self:
-        """This, or its colours if it is not a spectrum."""
-        return self if self.basis == "spectrum" else self.in_basis(basis)
-
     def in_basis(self, basis: Basis) -> Self:
         """The same with other channels. Raises ValueError where colours should become a spectrum."""
         if basis == self.basis:

@@ -1,0 +1,176 @@
+"""`gonio export | list`: other programs' files, and all that there is to choose from."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from gonio.cli.terminal import (
+    app,
+    load_measurement,
+    make_writable,
+    say,
+    standard_output,
+    telling_mistakes,
+    telling_refusals,
+    working,
+)
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
+
+@app.command
+def export(
+    file: Path,
+    /,
+    *,
+    to: Path,
+    format: str | None = None,
+    isotropic: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+) -> None:
+    """Write a measurement in another program's format, and tell what that cost.
+
+    The file is read back as its usual readers do, and compared with the
+    measurement on the measurement's own bins. gonio list shows the formats.
+
+    Parameters
+    ----------
+    file
+        The measurement: a .nc file, or a foreign file that gonio reads.
+    to
+        The file to write; its suffix decides the format.
+    format
+        A format that decides instead, such as exr-rgb.
+    isotropic
+        Declare that the surface looks the same from every azimuth of the light.
+    """
+    from gonio import formats
+
+    measurement = load_measurement(file)
+    make_writable(to.parent)
+    with telling_mistakes(), telling_refusals(to):
+        with working(f"writing {to}"):
+            exported = formats.export(measurement.declared_isotropic() if isotropic else measurement, to, format)
+        print(exported.path)
+        with working(f"reading {to} back"):
+            sentences = (*exported.notes, exported.loss.sentence())
+    for sentence in sentences:
+        say(sentence)
+
+
+@app.command(name="list")
+def list_(name: str | None = None, /) -> None:
+    """Show every surface, material, detector and model with its parameters and their defaults, and every file format.
+
+    Parameters
+    ----------
+    name
+        One of them, shown with its whole description.
+    """
+    from gonio.experiment import InputError
+    from gonio.formats import FORMATS
+    from microsurfaces.recipe import did_you_mean
+
+    catalogue = _catalogue()
+    known = {cls.__name__: cls for classes in catalogue.values() for cls in classes}
+    if name is None:
+        for heading, classes in catalogue.items():
+            say(f"{heading}\n", style="bold")
+            for cls in classes:
+                _describe(cls, (cls.__doc__ or "").partition("\n")[0])
+        _list_materials()
+        _list_formats()
+    elif name in known:
+        _describe(known[name], _reflowed(inspect.cleandoc(known[name].__doc__ or "")))
+    elif name in FORMATS:
+        say(name, style="bold")
+        say(f"{FORMATS[name].title} ({FORMATS[name].suffix})\n\n{_reflowed(FORMATS[name].page)}")
+    else:
+        names = (*known, *FORMATS)
+        raise InputError(f"{name} is none of {', '.join(names)}{did_you_mean(name, names)}")
+
+
+def _catalogue() -> dict[str, list[type]]:
+    """Every recipe, under the heading it is listed with."""
+    from gonio.detectors import Detector
+    from gonio.experiment import Experiment
+    from gonio.goniometer import Goniometer
+    from gonio.models import Model
+    from gonio.optics import Material
+    from microsurfaces import Surface
+    from microsurfaces.recipe import members
+
+    unions: dict[str, Any] = {
+        "Surfaces: [surface]": Surface,
+        "Materials: [material]": Material,
+        "Detectors: [goniometer.detector]": Detector,
+        "Models: compare = [...], gonio compare --model": Model,
+        "The experiment, its goniometer": Experiment,
+    }
+    catalogue = {heading: list(members(union).values()) for heading, union in unions.items()}
+    catalogue["The experiment, its goniometer"].append(Goniometer)
+    return catalogue
+
+
+def _describe(cls: type, text: str) -> None:
+    """Print a recipe: its description, then a table of parameters, defaults and meanings."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from microsurfaces.recipe import parameters
+
+    console = standard_output()
+    say(cls.__name__, style="bold")
+    say(text)
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for name, field in parameters(cls).items():
+        row = (f"  {name}", _default(field), " ".join((field.description or "").split()))
+        table.add_row(*map(Text, row))
+    console.print(table, "") if table.row_count else console.print()
+
+
+def _list_formats() -> None:
+    """What `gonio export` writes, and gonio reads wherever it reads a measurement."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from gonio.formats import FORMATS
+
+    say("Formats: gonio export FILE --to NAME.SUFFIX, --format for other than the first of a suffix\n", style="bold")
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for name, format in FORMATS.items():
+        table.add_row(*map(Text, (f"  {name}", format.suffix, format.title)))
+    standard_output().print(table)
+
+
+def _reflowed(text: str) -> str:
+    """`text` with one line a paragraph, but for what is set in as formulas are."""
+    paragraphs = text.split("\n\n")
+    return "\n\n".join(p if p.startswith(" ") else " ".join(p.split("\n")) for p in paragraphs) + "\n"
+
+
+def _default(field: FieldInfo) -> str:
+    """The default of a parameter as TOML has it."""
+    from microsurfaces.recipe import as_toml
+
+    if field.is_required():
+        return "required"
+    value = field.get_default()
+    return "-" if value is None else type(value).__name__ if hasattr(value, "kind") else as_toml(value)
+
+
+def _list_materials() -> None:
+    """Print the materials that have a table of refractive indices, with their sources."""
+    from rich.table import Table
+
+    from gonio.optics import citation, materials
+
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for symbol, english in materials().items():
+        table.add_row(f"  {symbol}", english, citation(symbol))
+    say("Materials with a name: Conductor or Dielectric, name = ...\n", style="bold")
+    standard_output().print(table)

@@ -1,0 +1,334 @@
+"""`gonio compare | fit | check | validate`: models, results and the instrument itself are judged."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from gonio.cli.terminal import (
+    ModelNames,
+    Output,
+    RunError,
+    app,
+    complain,
+    load_measurement,
+    make_writable,
+    say,
+    show_table,
+    telling_refusals,
+    working,
+)
+
+if TYPE_CHECKING:
+    from gonio.certificate import Certificate
+    from gonio.compare import Verdict
+    from gonio.measurement import Measurement
+    from gonio.models import Model
+
+
+def models_to_compare(
+    measurement: Measurement, names: Sequence[str] | None
+) -> tuple[tuple[Model, ...], tuple[str, ...]]:
+    """The models to compare with, and why there are none: a measurement is worth keeping all the same."""
+    from gonio.experiment import InputError, models_for
+
+    try:
+        return models_for(measurement, names), ()
+    except InputError as error:
+        return (), error.sentences
+
+
+def judge(
+    measurement: Measurement, models: Sequence[Model], every_wavelength: bool = False, floor: float = 0.01
+) -> list[Verdict]:
+    """Print how each model compares with the light it speaks of, and what is noise and what is not."""
+    from gonio import tables
+    from gonio.compare import compare
+
+    verdicts = []
+    for model in models:
+        try:
+            with working(f"comparing with {tables.name_of(model)}"):
+                verdicts.append(compare(measurement, model, floor))
+        except ValueError as error:
+            complain(0, f"{tables.name_of(model)}: {error}")
+    for verdict in verdicts:
+        heading = f"{tables.name_of(verdict.model)} against {tables.light(verdict.order)}"
+        show_table(heading, tables.verdict(verdict, every_wavelength))
+    if verdicts:
+        say(
+            ("" if every_wavelength else "Of every incidence the wavelength whose albedo differs most; ")
+            + "in brackets the standard error of its last "
+            "digits. L1: how far the lobes differ, and how far noise alone would make them. Differs: noise does not "
+            "explain it; unclear: specimens that move the whole lobe could; more realisations would tell."
+        )
+        for sentence in dict.fromkeys(line for verdict in verdicts for line in verdict.preamble()):
+            say(sentence)
+    return verdicts
+
+
+@app.command
+def compare(
+    file: Path,
+    /,
+    *,
+    models: ModelNames = (),
+    all: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    floor: float = 0.01,
+    output: Output = None,
+) -> None:
+    """Compare a measurement with closed-form models, bin by bin, and tell noise from difference.
+
+    A model is a name, with settings if need be; what is not said is the
+    specimen's: its material, and the roughness measured on its facets. A file
+    that comes from elsewhere tells neither, so both must be said.
+
+      --model cook-torrance
+      --model "cook-torrance m=0.35 material.name=Au"
+      --model "cook-torrance m=0.35 k_d=0.1"
+      --model "microfacet distribution.kind=GGX masking.kind=VCavity"
+      --model models.toml     with tables [[model]]
+
+    Parameters
+    ----------
+    file
+        The measurement, a .nc file.
+    models
+        A model, as often as needed; those that fit the material if not given.
+    all
+        Show every wavelength, not only the one that differs most.
+    floor
+        Share of a lobe's peak below which logarithms are not compared.
+    output
+        Folder for MODEL.nc, every number and every bin of the comparison, and MODEL.png, maps of the difference.
+    """
+    from gonio import tables
+    from gonio.experiment import InputError, models_for
+
+    if not 0.0 <= floor < 1.0:
+        raise InputError(f"--floor {floor:g}: must be 0 or more and less than 1, a share of the peak.")
+    measurement = load_measurement(file)
+    chosen = models_for(measurement, models or None)
+    if not chosen:
+        raise InputError(
+            f"{file}: no model describes this specimen by itself; name one with --model, such as "
+            '--model "cook-torrance m=0.3 material.name=Au".'
+        )
+    verdicts = judge(measurement, chosen, all, floor)
+    for verdict in verdicts:
+        show_table(f"{tables.name_of(verdict.model)}, other measures of the lobe", tables.metrics(verdict, all))
+        show_table("The bins that add most to L1, beyond doubt (3 standard errors)", tables.worst_bins(verdict))
+    if verdicts:
+        say(
+            f"L2: root mean square over projected solid angle. log-RMS: of ln(measured / model) above {floor:g} of "
+            "the peak; 0.1 is a typical factor of 1.1. chi2: mean square in standard errors, 1 if there is nothing "
+            "but noise; MC: with Monte Carlo noise alone. Noise leaves 5 % of the bins outside their interval."
+        )
+        for verdict in verdicts:
+            say(f"{tables.name_of(verdict.model)}: {verdict.conclusion()}")
+    if len(verdicts) > 1:
+        show_table("All models, the best lobe first", tables.ranking(verdicts))
+    if output is not None:
+        make_writable(output)
+        for path in _save_verdicts(measurement, verdicts, output):
+            print(path)
+    if len(verdicts) < len(chosen):
+        raise RunError(f"{len(chosen) - len(verdicts)} of {len(chosen)} models could not be compared.")
+
+
+def _save_verdicts(measurement: Measurement, verdicts: Sequence[Verdict], folder: Path) -> Iterator[Path]:
+    """Write the numbers and the maps of every verdict; the files."""
+    from gonio import plots
+
+    for number, verdict in enumerate(verdicts, 1):
+        name = type(verdict.model).__name__
+        unique = sum(type(other.model).__name__ == name for other in verdicts) == 1
+        stem = folder / (name if unique else f"{name}-{number}")
+        with telling_refusals(folder):
+            yield verdict.save(stem.with_suffix(".nc"))
+            yield plots.difference(measurement, verdict, stem.with_suffix(".png"))
+
+
+@app.command
+def fit(
+    file: Path,
+    /,
+    *,
+    models: ModelNames,
+    free: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    theta_i: Annotated[tuple[float, ...], Parameter(negative="", show_default=False)] = (),
+    wavelength: Annotated[tuple[float, ...], Parameter(negative="", show_default=False)] = (),
+    output: Output = None,
+) -> None:
+    """Adjust models to a measurement: parameters with 95 % intervals, and which model does best.
+
+    Intervals include the noise and the misfit of a model that is not the
+    truth. Several models are ranked by Akaike's information criterion. Of a
+    file that comes from elsewhere the material must be said.
+
+      --model cook-torrance
+      --model "cook-torrance material.name=Au"
+      --model "cook-torrance k_d=0.1 k_s=0.9" --free m --free k_d
+
+    Parameters
+    ----------
+    file
+        The measurement, a .nc file.
+    models
+        A model, as often as needed, with settings where the fit starts or what stays as it is.
+    free
+        What is adjusted, such as m, k_d, distribution.alpha, material.eta; each model's roughness if not given.
+    theta_i
+        Fit these incidences only, degrees.
+    wavelength
+        Fit these wavelengths only, nm.
+    output
+        A TOML file for the fitted models; gonio compare --model reads it.
+    """
+    from gonio import tables
+    from gonio.experiment import InputError, models_for, write_models
+    from gonio.fitting import fit as fitted
+    from gonio.fitting import rank
+
+    measurement = load_measurement(file)
+    if output is not None:
+        make_writable(output.parent)
+    fits, mistakes = [], []
+    for model in models_for(measurement, models, to_fit=True):
+        with working(f"fitting {tables.name_of(model)}"):
+            try:
+                fits.append(fitted(measurement, model, free or None, theta_i or None, wavelength or None))
+            except ValueError as error:
+                mistakes.append(str(error))
+    if mistakes:
+        raise InputError(*mistakes)
+    for found in fits:
+        show_table(f"{tables.name_of(found.model)}, fitted to {tables.light(found.order)}", tables.parameters(found))
+        show_table("Correlations", tables.correlations(found))
+        for sentence in found.remarks():
+            say(sentence)
+    for order in dict.fromkeys(found.order for found in fits):
+        alike = [found for found in fits if found.order == order]
+        if len(alike) > 1:
+            show_table(f"Models of {tables.light(order)}, the best first", tables.ranked(rank(alike)))
+            say(
+                "QAICc: Akaike's information criterion, lower is better; its uncertainty is how blocks of bins "
+                "disagree about the difference."
+            )
+    if output is not None:
+        with telling_refusals(output):
+            print(write_models([found.model for found in fits], output))
+
+
+@app.command
+def check(file: Path, /) -> None:
+    """Recompute the certificate of a measurement: energy, bookkeeping, reciprocity, facets, settings.
+
+    Exit code 1 if a check fails. A warning says where the settings limit what
+    may be concluded.
+
+    Parameters
+    ----------
+    file
+        The measurement, a .nc file.
+    """
+    from gonio import tables
+    from gonio.certificate import certify_file
+    from gonio.experiment import InputError
+
+    try:
+        certificate = certify_file(file)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    show_table(f"Certificate of {file}", tables.checks(certificate))
+    say(certificate.summary()[0])
+    insist(certificate, file)
+
+
+def insist(certificate: Certificate, file: Path) -> None:
+    """Raise `RunError` if a check of this file has failed."""
+    if not certificate.passed:
+        raise RunError(f"{file} fails: {', '.join(certificate.failed)}. Do not use its numbers.")
+
+
+@app.command
+def validate(
+    *,
+    quick: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    case: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    output: Output = None,
+) -> None:
+    """Measure surfaces whose reflection is known exactly, and judge the instrument by them.
+
+    Exit code 1 if a law fails. Seeds are fixed: it gives the same rows again.
+
+    Parameters
+    ----------
+    quick
+        Smaller surfaces and fewer paths: about two minutes.
+    case
+        Only the cases whose name contains this, as often as needed.
+    output
+        A Markdown file for the table.
+    """
+    from gonio import tables
+    from gonio.experiment import InputError
+    from gonio.validate import CASES, Row, markdown
+    from gonio.validate import run as measured
+    from microsurfaces.files import replacing
+
+    if output is not None:
+        make_writable(output.parent)
+    names = [one.name for one in CASES if not case or any(part.lower() in one.name.lower() for part in case)]
+    if not names:
+        raise InputError(f"--case {' '.join(case)}: no such case; they are {'; '.join(one.name for one in CASES)}.")
+    started, rows, interrupted = time.monotonic(), list[Row](), False
+    with _cases() as show:
+        try:
+            for done, name in enumerate(names):
+                show(name, done / len(names))
+                rows += measured(quick, (name,))
+        except KeyboardInterrupt:
+            interrupted = True
+    for name, group in itertools.groupby(rows, key=lambda row: row.case):
+        show_table(name, tables.validation(group))
+    failures = sum(row.verdict == "FAILS" for row in rows)
+    say(
+        f"{len(rows)} numbers in {time.monotonic() - started:.0f} s, {failures} fail. Scores are Student's t, the "
+        "excess of chi2 per bin in units of its scatter, or a difference that has a stated bound; 'rejected' are wrong "
+        "formulas that the same test must see through."
+    )
+    if output is not None:
+        with replacing(output) as path:
+            path.write_text(markdown(rows), encoding="utf-8")
+        print(output)
+    if interrupted:
+        raise RunError(f"Interrupted after {len({row.case for row in rows})} of {len(names)} cases.")
+    if failures:
+        raise RunError(f"{failures} of {len(rows)} numbers are not as they should be.")
+
+
+@contextlib.contextmanager
+def _cases() -> Iterator[Callable[[str, float], None]]:
+    """A bar on a terminal, a line a case elsewhere, both on stderr."""
+    if not sys.stderr.isatty():
+
+        def show(name: str, share: float) -> None:
+            complain(0, f"{share:4.0%} {name}")
+
+        yield show
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("compiling", total=1.0)
+        yield lambda name, share: bar.update(task, completed=share, description=name)

@@ -1,0 +1,209 @@
+"""`gonio run` and `gonio surface`: what an experiment file describes, measured and built."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from gonio.cli.judging import insist, judge, models_to_compare
+from gonio.cli.terminal import (
+    Meter,
+    Output,
+    Overrides,
+    RunError,
+    app,
+    check_writable,
+    complain,
+    make_writable,
+    open_window,
+    progress,
+    rays_per_second,
+    read_experiment,
+    reason,
+    say,
+    show_table,
+)
+
+if TYPE_CHECKING:
+    from gonio.experiment import Experiment
+    from gonio.measurement import Measurement
+    from gonio.models import Model
+
+
+PICTURES = ("lobes", "slices", "hemisphere", "albedo")
+"""What is drawn of every measurement that allows it, as functions of `plots` and as files."""
+
+
+@app.command
+def run(
+    config: Path,
+    /,
+    *,
+    overrides: Overrides = (),
+    threads: int | None = None,
+    seed: int | None = None,
+    output: Output = None,
+    no_pictures: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    quiet: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+) -> None:
+    """Measure the BRDF that an experiment file describes.
+
+    Writes measurement.nc, experiment.toml (everything resolved: run again, it
+    gives the same numbers), lobes.png, slices.png, hemisphere.png, albedo.png.
+    Prints albedos, orders of scattering, lost energy and how models compare.
+
+    Parameters
+    ----------
+    config
+        The experiment, a TOML file such as those in configs/.
+    overrides
+        Put a value in place of the file's, as often as needed: --set surface.alpha=0.2 --set goniometer.paths=100000
+    threads
+        Threads to use; all cores if not given. Results do not depend on it.
+    seed
+        Seed in place of the file's.
+    output
+        Folder for the results; out/NAME if not given, where NAME.toml is the experiment.
+    no_pictures
+        Write the numbers only, which takes less time; gonio plot draws them later.
+    quiet
+        Print nothing but errors.
+    """
+    from gonio.certificate import Certificate
+    from gonio.experiment import InputError
+
+    experiment = read_experiment(config, overrides, seed)
+    if threads is not None and threads < 1:
+        raise InputError(f"--threads {threads}: must be 1 or more.")
+    folder = output or Path("out") / config.stem
+    check_writable(folder)
+    started = time.monotonic()
+    with progress(quiet) as meter:
+        try:
+            measurement = experiment.run(threads=threads, progress=meter)
+        except KeyboardInterrupt:
+            raise RunError("Interrupted before anything was measured: nothing was written.") from None
+    seconds = time.monotonic() - started
+    models, complaints = models_to_compare(measurement, experiment.compare)
+    files = _write_results(experiment, measurement, models, folder, not no_pictures)
+    certificate = Certificate.from_json(measurement.attributes["certificate"])
+    complain(0, *complaints)
+    if not quiet:
+        _report(measurement, models, meter, seconds)
+        for sentence in certificate.summary():
+            say(sentence)
+        say(f"Files in {folder}{os.sep}: {', '.join(files)}")
+    if measurement.interrupted:
+        raise RunError(f"Interrupted: {folder / 'measurement.nc'} holds what had been measured.")
+    insist(certificate, folder / "measurement.nc")
+
+
+def _write_results(
+    experiment: Experiment, measurement: Measurement, models: Sequence[Model], folder: Path, pictures: bool
+) -> list[str]:
+    """Write the numbers, then the pictures; each file appears whole. The names of the files, the numbers' first."""
+    try:
+        _write_numbers(experiment, measurement, folder)
+    except OSError as error:
+        refuge = Path(tempfile.mkdtemp(prefix="gonio-"))
+        with contextlib.suppress(OSError):
+            _write_numbers(experiment, measurement, refuge)
+            raise RunError(f"{folder} cannot be written ({reason(error)}): the results are in {refuge}.") from None
+        raise RunError(
+            f"{folder} cannot be written ({reason(error)}), nor can {refuge}: the results are lost."
+        ) from None
+    # An older picture must not stand beside new numbers.
+    for name in PICTURES:
+        (folder / f"{name}.png").unlink(missing_ok=True)
+    return ["measurement.nc", "experiment.toml", *(_draw(measurement, models, folder) if pictures else ())]
+
+
+def _write_numbers(experiment: Experiment, measurement: Measurement, folder: Path) -> None:
+    from gonio.measurement import save
+    from microsurfaces.files import replacing
+
+    folder.mkdir(parents=True, exist_ok=True)
+    save(measurement, folder / "measurement.nc")
+    with replacing(folder / "experiment.toml") as path:
+        experiment.write(path)
+
+
+def _draw(measurement: Measurement, models: Sequence[Model], folder: Path) -> list[str]:
+    """Draw every picture that this measurement allows; the names of the files. What cannot be drawn is told."""
+    from gonio import plots
+
+    drawn = []
+    for name in PICTURES:
+        path = folder / f"{name}.png"
+        options = {"models": models} if name == "slices" else {}
+        try:
+            getattr(plots, name)(measurement, path, **options)
+        except (ValueError, OSError) as error:
+            complain(0, f"No {path.name}: {error}")
+        else:
+            drawn.append(path.name)
+    return drawn
+
+
+def _report(measurement: Measurement, models: Sequence[Model], meter: Meter, seconds: float) -> None:
+    """What was measured, in two tables, and how well the models do."""
+    from gonio import tables
+
+    show_table("Albedo, the share of the light that comes back, ± standard error", tables.albedo(measurement))
+    show_table("Orders of scattering in the reflected light, and what did not come back", tables.energy(measurement))
+    paths = int(measurement.dataset["paths"].sum())
+    say(f"{paths / 1e6:.3g} M paths in {seconds:.1f} s; while tracing, {rays_per_second(meter.rate)}.")
+    if not models and int(measurement.dataset["realisations"].max()) == 1:
+        say("One specimen was measured: the errors are its Monte Carlo noise, other specimens may differ by more.")
+    judge(measurement, models)
+
+
+@app.command
+def surface(
+    config: Path,
+    /,
+    *,
+    overrides: Overrides = (),
+    seed: int | None = None,
+    output: Annotated[Path | None, Parameter(name=["--to", "--output", "-o"])] = None,
+    show: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+) -> None:
+    """Build an experiment's surface and print its statistics.
+
+    Parameters
+    ----------
+    config
+        The experiment, a TOML file.
+    overrides
+        Put a value in place of the file's: --set surface.alpha=0.2
+    seed
+        Seed in place of the file's.
+    output
+        Save the surface: heights as .x3p, .exr, .png or .npy, triangles as .ply, .stl or .obj.
+    show
+        Open a window with the surface.
+    """
+    from gonio import tables
+    from gonio.experiment import InputError
+    from microsurfaces.files import save_surface
+
+    experiment = read_experiment(config, overrides, seed)
+    relief = experiment.relief()
+    if output is not None:
+        make_writable(output.parent)
+        try:
+            save_surface(relief, output)
+        except ValueError as error:
+            raise InputError(str(error)) from None
+    show_table("Statistics of the surface, measured on its facets", tables.statistics(relief.statistics().as_dict()))
+    if output is not None:
+        print(f"Saved as {output}")
+    if show:
+        open_window(relief)
