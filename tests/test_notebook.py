@@ -2,7 +2,6 @@
 
 import re
 import sys
-import time
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -39,9 +38,7 @@ def experiment(**options):
 
 def parsed(thing):
     """What `_repr_html_` says, as a tree and as rows of its table; nothing in it comes from outside."""
-    started = time.perf_counter()
     text = thing._repr_html_()
-    assert time.perf_counter() - started < 2.0
     assert len(text.encode()) < 100_000
     assert not re.search(r"<script|https?:|url\(|<link|@import", text)
     tree = ET.fromstring(re.sub(r"(<img [^>]*)>", r"\1/>", text))

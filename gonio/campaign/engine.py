@@ -98,11 +98,12 @@ class Queue:
         while unit := self._next(relief, others):
             if self._folder.has(unit.name):
                 self._found(unit)
-            elif self._folder.claim(unit.name, self._run):
-                self._held.add(unit.name)
+                continue
+            self._held.add(unit.name)  # before the claim is written: Ctrl-C may come in between
+            if self._folder.claim(unit.name, self._run):
                 return unit
-            else:
-                self._later.append(unit)
+            self._held.discard(unit.name)
+            self._later.append(unit)
         # Whoever claimed these may be dead; computing one twice does no harm.
         while self._later:
             unit = self._later.pop()
