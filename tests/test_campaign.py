@@ -432,7 +432,7 @@ def test_two_runs_in_one_folder_do_no_harm(start: Start, finished: Path, tmp_pat
 
 def test_ctrl_c_keeps_what_is_finished_and_leaves_no_worker(start: Start, tmp_path: Path) -> None:
     path = tmp_path / "c"
-    process = start(path, "--workers", "1", "--set", "goniometer.paths=400000")
+    process = start(path, "--workers", "1", "--set", "goniometer.paths=5000000")
     watch(path, 1, process)
     workers = workers_of(process)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers, too
