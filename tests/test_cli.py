@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import base64
 import errno
 import json
 import re
@@ -15,6 +16,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from PIL import Image
 from synthetic import foreign
 
 import gonio
@@ -24,6 +26,7 @@ from gonio.certificate import Certificate, Check
 from gonio.cli import main
 from gonio.experiment import Experiment
 from gonio.goniometer import Goniometer
+from gonio.plots import style
 from gonio.sphere import direction
 
 TOY = """
@@ -75,7 +78,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves out the pictures, which take longer than all the rest."""
-    monkeypatch.setattr("gonio.cli.measuring._draw", lambda *_: [])
+    monkeypatch.setattr("gonio.cli.measuring._show", lambda *_: [])
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +110,8 @@ def files() -> set[str]:
 def test_run_writes_the_results_and_prints_what_was_measured(run: Gonio) -> None:
     code, out, err = run("run", "toy.toml", "--threads", "1")
     assert code == 0, err
-    results = {"measurement.nc", "experiment.toml", "lobes.png", "slices.png", "hemisphere.png", "albedo.png"}
+    pictures = [f"{name}.png" for name in ("lobes", "slices", "hemisphere", "albedo")]
+    results = {"measurement.nc", "experiment.toml", *pictures, "report.html"}
     assert files() == {"toy.toml"} | {f"out/toy/{name}" for name in results}
     assert all(len(line) <= 80 for line in out.splitlines())
     measurement = gonio.load("out/toy/measurement.nc")
@@ -118,6 +122,10 @@ def test_run_writes_the_results_and_prints_what_was_measured(run: Gonio) -> None
     assert values[1] == pytest.approx(albedo, abs=0.01)
     for words in ("450 nm", "1 hit", "lost or truncated", "rays/s", "CookTorrance", "Microfacet", *results):
         assert words in out
+    page = Path("out/toy/report.html").read_text(encoding="utf-8")
+    for name in pictures:
+        assert base64.b64encode(Path("out/toy", name).read_bytes()).decode() in page
+    assert "CookTorrance, m " in page
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -141,14 +149,55 @@ def test_one_specimen_is_said_to_be_one(run: Gonio) -> None:
 
 
 def test_without_pictures_no_older_ones_are_left_beside_new_numbers(run: Gonio) -> None:
-    older = Path("out/toy/lobes.png")
-    older.parent.mkdir(parents=True)
-    older.write_bytes(b"older")
+    Path("out/toy").mkdir(parents=True)
+    for name in ("lobes.png", "report.html"):
+        Path("out/toy", name).write_bytes(b"older")
     code, out, err = run("run", "toy.toml", "--no-pictures")
     assert (code, err) == (0, "")
     assert files() == {"toy.toml", "out/toy/measurement.nc", "out/toy/experiment.toml"}
     assert "lobes.png" not in out
+    assert "report" not in out
     assert run("run", "toy.toml", "--no-picture")[0] == 2
+
+
+def test_a_run_draws_and_compares_once(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page takes what was drawn and compared; only where the best model fails is drawn for it alone."""
+    calls: list[str] = []
+    for name in ("lobes", "slices", "hemisphere", "albedo", "difference"):
+        monkeypatch.setattr(f"gonio.plots.{name}", _counted(calls, name))
+    monkeypatch.setattr(sys.modules["gonio.compare"], "compare", _counted(calls, "compare", gonio.compare))
+    monkeypatch.setattr("gonio.report.compare", None)
+    code, out, err = run("run", "toy.toml")
+    assert (code, err) == (0, "")
+    assert "report.html" in out
+    assert sorted(calls) == ["albedo", "compare", "compare", "difference", "hemisphere", "lobes", "slices"]
+
+
+def _counted(calls: list[str], name: str, function: Callable[..., Any] | None = None) -> Callable[..., Any]:
+    """Notes that it was called; draws a white square if there is no `function`."""
+
+    def counted(*values: Any, **options: Any) -> Any:
+        calls.append(name)
+        if function is not None:
+            return function(*values, **options)
+        path: Path = values[-1]
+        Image.new("RGB", (2, 2)).save(path)
+        return path
+
+    return counted
+
+
+def test_without_plotly_a_run_says_what_adds_the_page(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("plotly", "plotly.offline"):
+        monkeypatch.setitem(sys.modules, name, None)
+    for name in ("lobes", "slices", "hemisphere", "albedo"):
+        monkeypatch.setattr(f"gonio.plots.{name}", _counted([], name))
+    Path("out/toy").mkdir(parents=True)
+    Path("out/toy/report.html").write_text("older")
+    code, out, err = run("run", "toy.toml")
+    assert (code, err) == (0, "")
+    assert " ".join(out.split()).endswith('albedo.png (pip install "gonio[report]" adds report.html)')
+    assert "out/toy/report.html" not in files()
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -251,6 +300,22 @@ def test_fit_prints_parameters_and_writes_models(run: Gonio, measured: Path) -> 
     code, out, _ = run("compare", str(measured), "--model", "new/fits.toml")
     assert code == 0
     assert "All models" in out
+
+
+def test_fit_draws_what_it_found(run: Gonio, measured: Path) -> None:
+    tokens = ("fit", str(measured), "--model", "cook-torrance", "--wavelength", "550")
+    code, out, _ = run(*tokens, "--picture", "new/fits.png")
+    assert code == 0
+    assert out.splitlines()[-1] == "new/fits.png"
+    colour = np.array([int(style.FITTED[0][k : k + 2], 16) for k in (1, 3, 5)])
+    found = (np.abs(np.asarray(Image.open("new/fits.png").convert("RGB")).astype(int) - colour) < 20).all(axis=-1)
+    # The curve on the left, the interval on the right.
+    left, right = np.array_split(found.any(axis=0), [found.shape[1] * 6 // 10])
+    assert left.sum() > 100
+    assert right.sum() > 100
+    code, out, err = run(*tokens, "--picture", "fits.bmp2")
+    assert (code, out) == (2, "")
+    assert "cannot draw into 'fits.bmp2': the suffixes are" in err
 
 
 def test_fit_frees_what_is_named(run: Gonio, measured: Path) -> None:

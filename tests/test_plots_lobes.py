@@ -20,7 +20,7 @@ import microsurfaces as ms
 from gonio import plots
 from gonio.detectors import HemisphereGrid, Klems
 from gonio.models import CookTorrance, Lambert
-from gonio.plots import patches, style
+from gonio.plots import lobe_scene, patches, style
 from gonio.plots.lobe_scene import Ground, Scale, Shell, solid_angle, surface
 from gonio.sphere import direction
 
@@ -378,3 +378,25 @@ def test_surfaces_have_one_pole_and_no_facet_in_a_hole():
     assert len(corners) == (60 - 2) * 240
     assert set(corners[:240, 0]) == {0}
     np.testing.assert_allclose(points[0], direction(0.0), atol=1e-12)
+
+
+def test_a_window_shows_all_of_every_lobe(tmp_path, monkeypatch):
+    """The view is level with its panel's height: it must be wide enough for the plane and both arrows."""
+    if not style.can_render():
+        pytest.skip("no GL library for VTK")
+    shown = []
+    monkeypatch.setattr("gonio.plots.lobe_scene.require_screen", lambda: None)
+    monkeypatch.setattr(pyvista, "OFF_SCREEN", True)
+    monkeypatch.setattr(pyvista.Plotter, "show", lambda self: shown.append(self))
+    monkeypatch.setattr(style, "can_render", lambda: False)
+    made = foreign(Lambert(0.5), detector=GRID, theta_i=(0.0, 30.0, 60.0))
+    plots.lobes(made, tmp_path / "x.png", show=True)
+    (window,) = shown
+    width, height = window.window_size
+    assert len(window.renderers) == 3
+    left, right, bottom, top = lobe_scene.WINDOW
+    for panel in window.renderers:
+        reach = panel.camera.parallel_scale * (width / 3) / height
+        assert 2 * panel.camera.parallel_scale == pytest.approx(top - bottom)
+        assert 2 * reach == pytest.approx(right - left, rel=0.01)
+    window.close()

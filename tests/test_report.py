@@ -80,7 +80,7 @@ def page(measurement: Measurement, tmp_path_factory: pytest.TempPathFactory) -> 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves out the pictures, which take longer than all the rest."""
-    monkeypatch.setattr("gonio.report._picture", lambda name, *_: markup.tag("p", f"[{name}]"))
+    monkeypatch.setattr("gonio.report._picture", lambda drawn, name, *_: markup.tag("p", f"[{name}]"))
 
 
 class Reader(HTMLParser):
@@ -145,6 +145,8 @@ def test_the_page_is_sound_html_and_needs_nothing_else(page: Path) -> None:
     assert all("src" not in script for script in reader.all("script"))
     assert "default-src 'none'" in str(reader.all("meta")[1]["content"])
     assert reader.text.count("* plotly.js v") == 1
+    # No browser reads it as a program before the page's own script asks for that.
+    assert [script.get("type") for script in reader.all("script")] == ["text/plain", "application/json", None]
     assert page.stat().st_size < 12e6
     assert [path.name for path in page.parent.iterdir()] == ["report.html"]
 
@@ -159,12 +161,35 @@ def test_pictures_are_embedded_with_words_for_those_who_do_not_see_them(page: Pa
         "The hemisphere from above",
         "Albedo",
         tables.name_of(chosen.model),
+        "Fits",
     ]
     for image in images:
         content = base64.b64decode(str(image["src"]).removeprefix("data:image/png;base64,"), validate=True)
         picture = Image.open(io.BytesIO(content))
         assert picture.size == (int(str(image["width"])), int(str(image["height"])))
         assert np.asarray(picture.convert("L")).std() > 10
+
+
+def test_what_exists_already_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Verdicts stand for their models, and pictures go into the page byte by byte."""
+
+    def again(*_: Any, **__: Any) -> None:
+        raise AssertionError
+
+    verdict = compare(GREY, Lambert(reflectance=0.6))
+    names = ("lobes", "slices", "hemisphere", "albedo", "difference")
+    for k, name in enumerate(names):
+        Image.new("RGB", (3 + k, 2)).save(tmp_path / f"{name}.png")
+        monkeypatch.setattr(f"gonio.plots.{name}", again)
+    monkeypatch.setattr("gonio.report.compare", again)
+    drawn = [tmp_path / f"{name}.png" for name in names]
+    reader = Reader(report(GREY, tmp_path / "x.html", [verdict], pictures=drawn))
+    images = reader.all("img")
+    assert [image["width"] for image in images] == ["3", "4", "5", "6", "7"]
+    for image, path in zip(images, drawn, strict=True):
+        assert base64.b64decode(str(image["src"]).partition("base64,")[2]) == path.read_bytes()
+    assert "Lambert, reflectance 0.6 overestimates the directional albedo by 20\u00a0%" in reader.words()
+    assert reader.data["models"][0]["name"] == "Lambert, reflectance 0.6"
 
 
 def test_tables_hold_what_the_terminal_shows(page: Path, measurement: Measurement) -> None:
@@ -586,7 +611,8 @@ def test_a_browser_shows_what_was_chosen(shown: Browser, page: Path) -> None:
     browser = shown
     data = Reader(page).data
     assert browser.run("return document.title") == Reader(page).words("title")
-    assert browser.run("return document.scripts.length") == 3
+    # The library was mere text until the words were there.
+    assert browser.run("return document.scripts.length") == 4
     assert browser.run("return document.getElementById('incidence').value") == "2"
     for incidence, channel, order in ((2, 0, 0), (0, 0, 0), (0, 1, 0), (2, 1, 1), (2, 1, 2)):
         for name, value in (("incidence", incidence), ("channel", channel), ("order", order)):
@@ -605,10 +631,11 @@ def test_a_browser_shows_what_was_chosen(shown: Browser, page: Path) -> None:
         model = data["models"][0]
         predicted = curve(browser, model["name"])
         assert list(predicted.values()) == [v for v in model["values"][incidence][channel] if v]
-        told = browser.run("return document.getElementById('shown').textContent")
-        assert told.startswith(
-            f"theta_i {data['incidences'][incidence]['theta']:g}°, phi_i 0°, {data['channels'][channel]}, "
-        )
+        angles = f"theta_i {data['incidences'][incidence]['theta']:g}°, phi_i 0°"
+        assert browser.run("return document.getElementById('incidence-value').textContent") == angles
+        assert browser.run("return document.getElementById('look-around').innerText.split('theta_i').length") == 2
+        brightest = float(browser.run("return document.getElementById('shown').textContent.match(/at (.*) .sr/)[1]"))
+        assert brightest == pytest.approx(peak(browser), rel=5e-3)
         fainter = browser.run("return document.getElementById('models-note').textContent")
         assert (fainter == "") == (data["orders"][order] == "1")
     linear = browser.run("return document.getElementById('lobe').data[0].z.flat().map(Math.abs)")

@@ -23,6 +23,7 @@ from gonio.cli.terminal import (
     make_writable,
     say,
     show_table,
+    telling_mistakes,
     telling_refusals,
     working,
 )
@@ -46,10 +47,8 @@ def models_to_compare(
         return (), error.sentences
 
 
-def judge(
-    measurement: Measurement, models: Sequence[Model], every_wavelength: bool = False, floor: float = 0.01
-) -> list[Verdict]:
-    """Print how each model compares with the light it speaks of, and what is noise and what is not."""
+def judge(measurement: Measurement, models: Sequence[Model], floor: float = 0.01) -> list[Verdict]:
+    """How each model compares with the light it speaks of; why one could not be compared is told."""
     from gonio import tables
     from gonio.compare import compare
 
@@ -60,6 +59,13 @@ def judge(
                 verdicts.append(compare(measurement, model, floor))
         except ValueError as error:
             complain(0, f"{tables.name_of(model)}: {error}")
+    return verdicts
+
+
+def show_verdicts(verdicts: Sequence[Verdict], every_wavelength: bool = False) -> None:
+    """Print how each model compares, and what is noise and what is not."""
+    from gonio import tables
+
     for verdict in verdicts:
         heading = f"{tables.name_of(verdict.model)} against {tables.light(verdict.order)}"
         show_table(heading, tables.verdict(verdict, every_wavelength))
@@ -72,7 +78,6 @@ def judge(
         )
         for sentence in dict.fromkeys(line for verdict in verdicts for line in verdict.preamble()):
             say(sentence)
-    return verdicts
 
 
 @app.command
@@ -122,7 +127,8 @@ def compare(
             f"{file}: no model describes this specimen by itself; name one with --model, such as "
             '--model "cook-torrance m=0.3 material.name=Au".'
         )
-    verdicts = judge(measurement, chosen, all, floor)
+    verdicts = judge(measurement, chosen, floor)
+    show_verdicts(verdicts, all)
     for verdict in verdicts:
         show_table(f"{tables.name_of(verdict.model)}, other measures of the lobe", tables.metrics(verdict, all))
         show_table("The bins that add most to L1, beyond doubt (3 standard errors)", tables.worst_bins(verdict))
@@ -167,6 +173,7 @@ def fit(
     theta_i: Annotated[tuple[float, ...], Parameter(negative="", show_default=False)] = (),
     wavelength: Annotated[tuple[float, ...], Parameter(negative="", show_default=False)] = (),
     output: Output = None,
+    picture: Path | None = None,
 ) -> None:
     """Adjust models to a measurement: parameters with 95 % intervals, and which model does best.
 
@@ -192,15 +199,22 @@ def fit(
         Fit these wavelengths only, nm.
     output
         A TOML file for the fitted models; gonio compare --model reads it.
+    picture
+        A picture of the fits and of their parameters: .png, .svg or .pdf.
     """
-    from gonio import tables
+    from gonio import plots, tables
     from gonio.experiment import InputError, models_for, write_models
     from gonio.fitting import fit as fitted
     from gonio.fitting import rank
+    from gonio.plots.style import check_path
 
     measurement = load_measurement(file)
-    if output is not None:
-        make_writable(output.parent)
+    for path in (output, picture):
+        if path is not None:
+            make_writable(path.parent)
+    if picture is not None:
+        with telling_mistakes():
+            check_path(picture)
     fits, mistakes = [], []
     for model in models_for(measurement, models, to_fit=True):
         with working(f"fitting {tables.name_of(model)}"):
@@ -226,6 +240,9 @@ def fit(
     if output is not None:
         with telling_refusals(output):
             print(write_models([found.model for found in fits], output))
+    if picture is not None:
+        with telling_mistakes(), telling_refusals(picture), working(f"drawing {picture}"):
+            print(plots.fits(measurement, fits, picture))
 
 
 @app.command

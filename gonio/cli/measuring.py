@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gonio.cli.judging import insist, judge, models_to_compare
+from gonio.cli.judging import insist, judge, models_to_compare, show_verdicts
 from gonio.cli.terminal import (
     Meter,
     Output,
@@ -32,6 +34,7 @@ from gonio.cli.terminal import (
 )
 
 if TYPE_CHECKING:
+    from gonio.compare import Verdict
     from gonio.experiment import Experiment
     from gonio.measurement import Measurement
     from gonio.models import Model
@@ -39,6 +42,14 @@ if TYPE_CHECKING:
 
 PICTURES = ("lobes", "slices", "hemisphere", "albedo")
 """What is drawn of every measurement that allows it, as functions of `plots` and as files."""
+
+
+WITH_MODELS = ("slices", "albedo")
+"""Those that show models, too."""
+
+
+PAGE = "report.html"
+"""The page with all of it."""
 
 
 @app.command
@@ -56,7 +67,8 @@ def run(
     """Measure the BRDF that an experiment file describes.
 
     Writes measurement.nc, experiment.toml (everything resolved: run again, it
-    gives the same numbers), lobes.png, slices.png, hemisphere.png, albedo.png.
+    gives the same numbers), lobes.png, slices.png, hemisphere.png, albedo.png,
+    and report.html, one page to send (with pip install "gonio[report]").
     Prints albedos, orders of scattering, lost energy and how models compare.
 
     Parameters
@@ -72,7 +84,7 @@ def run(
     output
         Folder for the results; out/NAME if not given, where NAME.toml is the experiment.
     no_pictures
-        Write the numbers only, which takes less time; gonio plot draws them later.
+        Write the numbers only, which takes less time; gonio plot and gonio report draw them later.
     quiet
         Print nothing but errors.
     """
@@ -91,24 +103,27 @@ def run(
         except KeyboardInterrupt:
             raise RunError("Interrupted before anything was measured: nothing was written.") from None
     seconds = time.monotonic() - started
+    _write_results(experiment, measurement, folder)
     models, complaints = models_to_compare(measurement, experiment.compare)
-    files = _write_results(experiment, measurement, models, folder, not no_pictures)
-    certificate = Certificate.from_json(measurement.attributes["certificate"])
     complain(0, *complaints)
+    verdicts = [] if quiet and no_pictures else judge(measurement, models)
+    certificate = Certificate.from_json(measurement.attributes["certificate"])
     if not quiet:
-        _report(measurement, models, meter, seconds)
+        _report(measurement, verdicts, meter, seconds)
         for sentence in certificate.summary():
             say(sentence)
-        say(f"Files in {folder}{os.sep}: {', '.join(files)}")
+    shown = [] if no_pictures else _show(measurement, models, verdicts, folder)
+    if not quiet:
+        files = ", ".join(("measurement.nc", "experiment.toml", *shown))
+        hint = "" if no_pictures or _can_write_pages() else f' (pip install "gonio[report]" adds {PAGE})'
+        say(f"Files in {folder}{os.sep}: {files}{hint}")
     if measurement.interrupted:
         raise RunError(f"Interrupted: {folder / 'measurement.nc'} holds what had been measured.")
     insist(certificate, folder / "measurement.nc")
 
 
-def _write_results(
-    experiment: Experiment, measurement: Measurement, models: Sequence[Model], folder: Path, pictures: bool
-) -> list[str]:
-    """Write the numbers, then the pictures; each file appears whole. The names of the files, the numbers' first."""
+def _write_results(experiment: Experiment, measurement: Measurement, folder: Path) -> None:
+    """Write the numbers; each file appears whole. What showed older ones is taken away."""
     try:
         _write_numbers(experiment, measurement, folder)
     except OSError as error:
@@ -119,10 +134,8 @@ def _write_results(
         raise RunError(
             f"{folder} cannot be written ({reason(error)}), nor can {refuge}: the results are lost."
         ) from None
-    # An older picture must not stand beside new numbers.
-    for name in PICTURES:
-        (folder / f"{name}.png").unlink(missing_ok=True)
-    return ["measurement.nc", "experiment.toml", *(_draw(measurement, models, folder) if pictures else ())]
+    for name in (*(f"{name}.png" for name in PICTURES), PAGE):
+        (folder / name).unlink(missing_ok=True)
 
 
 def _write_numbers(experiment: Experiment, measurement: Measurement, folder: Path) -> None:
@@ -135,24 +148,37 @@ def _write_numbers(experiment: Experiment, measurement: Measurement, folder: Pat
         experiment.write(path)
 
 
-def _draw(measurement: Measurement, models: Sequence[Model], folder: Path) -> list[str]:
-    """Draw every picture that this measurement allows; the names of the files. What cannot be drawn is told."""
+def _show(measurement: Measurement, models: Sequence[Model], verdicts: Sequence[Verdict], folder: Path) -> list[str]:
+    """Draw every picture that this measurement allows, and put them into a page; the names of the files."""
     from gonio import plots
+    from gonio.report import report
 
-    drawn = []
+    shown: list[Path] = []
     for name in PICTURES:
-        path = folder / f"{name}.png"
-        options = {"models": models} if name == "slices" else {}
-        try:
-            getattr(plots, name)(measurement, path, **options)
-        except (ValueError, OSError) as error:
-            complain(0, f"No {path.name}: {error}")
-        else:
-            drawn.append(path.name)
-    return drawn
+        options = {"models": models} if name in WITH_MODELS else {}
+        shown += _made(partial(getattr(plots, name), measurement, **options), folder / f"{name}.png")
+    if _can_write_pages():
+        others = [model for model in models if all(model is not verdict.model for verdict in verdicts)]
+        page = partial(report, measurement, models=(*verdicts, *others), pictures=tuple(shown))
+        shown += _made(page, folder / PAGE)
+    return [path.name for path in shown]
 
 
-def _report(measurement: Measurement, models: Sequence[Model], meter: Meter, seconds: float) -> None:
+def _made(make: Callable[[Path], Path], path: Path) -> list[Path]:
+    """The file, once it is there; nothing where it cannot be made, which is told."""
+    try:
+        return [make(path)]
+    except (ValueError, OSError) as error:
+        complain(0, f"No {path.name}: {error}")
+        return []
+
+
+def _can_write_pages() -> bool:
+    """Whether plotly is there."""
+    return importlib.util.find_spec("plotly") is not None
+
+
+def _report(measurement: Measurement, verdicts: Sequence[Verdict], meter: Meter, seconds: float) -> None:
     """What was measured, in two tables, and how well the models do."""
     from gonio import tables
 
@@ -160,9 +186,9 @@ def _report(measurement: Measurement, models: Sequence[Model], meter: Meter, sec
     show_table("Orders of scattering in the reflected light, and what did not come back", tables.energy(measurement))
     paths = int(measurement.dataset["paths"].sum())
     say(f"{paths / 1e6:.3g} M paths in {seconds:.1f} s; while tracing, {rays_per_second(meter.rate)}.")
-    if not models and int(measurement.dataset["realisations"].max()) == 1:
+    if not verdicts and int(measurement.dataset["realisations"].max()) == 1:
         say("One specimen was measured: the errors are its Monte Carlo noise, other specimens may differ by more.")
-    judge(measurement, models)
+    show_verdicts(verdicts)
 
 
 @app.command

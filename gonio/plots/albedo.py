@@ -19,6 +19,7 @@ from gonio.plots.style import (
     headline,
     hits,
     hue,
+    names_of,
     new_figure,
     order_lines,
     some_wavelengths,
@@ -125,6 +126,6 @@ def _legend(measurement: Measurement, wavelengths: Sequence[float], models: Sequ
         bar: dict[str, Any] = {"color": INK, "marker": "|", "ms": 11, "ls": "none", "mew": 1.2}
         handles.append(Line2D([], [], label="± 2 standard errors", **bar))
     point: dict[str, Any] = {"color": INK, "mfc": "none", "ls": "none", "ms": 6}
-    for model, marker in zip(models, MARKERS, strict=False):
-        handles.append(Line2D([], [], marker=marker, label=f"{type(model).__name__} ({hits(model.order)})", **point))
+    for model, name, marker in zip(models, names_of(models), MARKERS, strict=False):
+        handles.append(Line2D([], [], marker=marker, label=f"{name} ({hits(model.order)})", **point))
     return handles

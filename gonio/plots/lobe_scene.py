@@ -226,13 +226,27 @@ def open_window(views: Sequence[View], scale: Scale, ground: Ground | None) -> N
     require_screen()
     import pyvista
 
-    plotter: Any = pyvista.Plotter(shape=(1, len(views)), lighting="light kit")
+    left, right, bottom, top = WINDOW
+    wide = max(420, 1260 // len(views))
+    size = [wide * len(views), round(wide * (top - bottom) / (right - left))]
+    shape = (1, len(views))
+    plotter: Any = pyvista.Plotter(shape=shape, lighting="light kit", window_size=size, title="gonio: lobes")
     for k, view in enumerate(views):
         plotter.subplot(0, k)
         _populate(plotter, view, scale, ground)
+        _name(plotter, view.incidences[-1])
         plotter.add_text(view.title.replace("$", "").replace("\\", ""), font_size=9, color=INK)
     plotter.link_views()
     plotter.show()
+
+
+def _name(plotter: Any, incidence: Incidence) -> None:
+    """Words at the ends of the arrows, which turn with them."""
+    apart = np.array([0.2, 0.0, 0.0]) if incidence.theta < 20 else np.zeros(3)
+    look: Any = {"shape": None, "show_points": False, "always_visible": True, "font_size": 14, "bold": False}
+    for phi, side, name, colour in ((0.0, 1, "lamp", LAMP), (180.0, -1, "mirror", MIRROR)):
+        place = 1.45 * direction(incidence.theta, phi) + side * apart
+        plotter.add_point_labels(place[None], [name], text_color=colour, justification_horizontal="center", **look)
 
 
 def _on_screen(points: Array) -> Array:

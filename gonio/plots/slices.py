@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ from gonio.plots.style import (
     hits,
     hue,
     layout,
+    names_of,
     new_figure,
     order_lines,
     some_wavelengths,
@@ -49,6 +50,8 @@ if TYPE_CHECKING:
 
 BAND = 1.0
 """Degrees of arc on either side of the plane of incidence that a slice averages over."""
+ANGLE = "$\\theta_o$ (degrees), lamp's side < 0 < mirror's"
+"""Words of the axis of a slice."""
 
 
 def slices(measurement: Measurement, path: PathLike, models: Sequence[Model] = ()) -> Path:
@@ -73,7 +76,7 @@ def slices(measurement: Measurement, path: PathLike, models: Sequence[Model] = (
         for k, model in enumerate(models[: len(MARKERS)]):
             values = model.average(direction(incidence.theta, incidence.phi), measurement.detector, wavelengths)
             _model_points(panel, cut, values, wavelengths, MARKERS[k], k / len(models))
-        _mark_slice(panel, incidence)
+        mark_slice(panel, incidence)
     _slice_axes(panels, incidences, cuts)
     handles = _slice_legend(measurement, wavelengths, models)
     figure.legend(handles=handles, loc="outside right center", fontsize=9, frameon=False, handlelength=2.8)
@@ -193,7 +196,7 @@ def _model_points(
         panel.plot(cut.angle[shown], value[shown], marker, ms=3.6, mfc="white", mec=hue(nm), mew=0.9, zorder=3)
 
 
-def _mark_slice(panel: Axes, incidence: Incidence) -> None:
+def mark_slice(panel: Axes, incidence: Incidence) -> None:
     """The lamp on the upper edge, the mirror direction on the lower, and the panel's title."""
     edge = panel.get_xaxis_transform()
     for angle, at, marker, colour in ((-incidence.theta, 1.0, "v", LAMP), (incidence.theta, 0.0, "^", MIRROR)):
@@ -205,29 +208,39 @@ def _mark_slice(panel: Axes, incidence: Incidence) -> None:
 def _slice_axes(panels: Any, incidences: Sequence[Incidence], cuts: Sequence[Cut]) -> None:
     """Limits from the data, labels on the outer panels, nothing on the empty ones."""
     columns, used = panels.shape[1], len(incidences)
-    low, high = _value_limits(incidences, cuts)
+    limits = value_limits(_values(incidences, cuts))
     for k, panel in enumerate(panels.flat):
         if k >= used:
             panel.set_axis_off()
             continue
-        panel.set(yscale="log", xlim=(-90, 90), xticks=range(-90, 91, 30), ylim=(low, high))
-        panel.grid(color="#dddddd", lw=0.6)
-        panel.tick_params(labelsize=9, labelbottom=k + columns >= used)
+        angle_axis(panel)
+        panel.set(yscale="log", ylim=limits)
+        panel.tick_params(labelbottom=k + columns >= used)
         if k + columns >= used:
-            panel.set_xlabel("$\\theta_o$ (degrees), lamp's side < 0 < mirror's", fontsize=10)
+            panel.set_xlabel(ANGLE, fontsize=10)
         if k % columns == 0:
             panel.set_ylabel("BRDF (sr⁻¹)", fontsize=10)
 
 
-def _value_limits(incidences: Sequence[Incidence], cuts: Sequence[Cut]) -> tuple[float, float]:
-    """From half the smallest value with enough hits, but `DECADES` down at most, to twice the largest."""
-    shown = []
+def angle_axis(panel: Axes) -> None:
+    """The signed angle theta_o from horizon to horizon."""
+    panel.set(xlim=(-90, 90), xticks=range(-90, 91, 30))
+    panel.grid(color="#dddddd", lw=0.6)
+    panel.tick_params(labelsize=9)
+
+
+def _values(incidences: Sequence[Incidence], cuts: Sequence[Cut]) -> Iterator[Array]:
+    """What is drawn: values with enough hits."""
     for incidence, cut in zip(incidences, cuts, strict=True):
         for order in order_lines(incidence.data):
             enough = cut.enough(incidence.data, order)
-            wavelengths = incidence.data["wavelength"].values
-            shown += [cut.read(incidence.data, order, nm)[0][enough] for nm in wavelengths]
-    positive = np.concatenate(shown)
+            for nm in incidence.data["wavelength"].values:
+                yield cut.read(incidence.data, order, nm)[0][enough]
+
+
+def value_limits(values: Iterable[Array]) -> tuple[float, float]:
+    """From half the smallest positive value, but `DECADES` down at most, to twice the largest."""
+    positive = np.concatenate(list(values))
     positive = positive[positive > 0]
     high = 2 * float(positive.max(initial=0.0)) or 1.0
     return min(max(float(positive.min(initial=high)) / 2, high / 10**DECADES), high / 10), high
@@ -246,8 +259,8 @@ def _slice_legend(measurement: Measurement, wavelengths: Sequence[float], models
     if has_errors(measurement):
         handles.append(Patch(color=INK, alpha=0.25, lw=0, label="± 2 standard errors"))
     point: dict[str, Any] = {"color": INK, "mfc": "white", "ls": "none", "ms": 5}
-    for model, marker in zip(models, MARKERS, strict=False):
-        handles.append(Line2D([], [], marker=marker, label=f"{type(model).__name__} ({hits(model.order)})", **point))
+    for model, name, marker in zip(models, names_of(models), MARKERS, strict=False):
+        handles.append(Line2D([], [], marker=marker, label=f"{name} ({hits(model.order)})", **point))
     handles.append(Line2D([], [], marker="v", color=LAMP, ls="none", ms=8, label="lamp"))
     handles.append(Line2D([], [], marker="^", color=MIRROR, ls="none", ms=8, label="mirror direction"))
     return handles

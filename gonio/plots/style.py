@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from gonio.measurement import Measurement
+    from gonio.models import Model
 
 Array = NDArray[np.float64]
 PathLike = str | os.PathLike[str]
@@ -55,6 +56,8 @@ ORDERS = {"all": "#8a8a86", "1": MIRROR, "2": "#009e73"}
 """Numbers of hits, where they are told apart by colours."""
 MORE = "#cc79a7"
 """And still more hits."""
+FITTED = ("#cc79a7", "#009e73", "#56b4e9", "#b2182b")
+"""Of the first few models, where they are curves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,10 +219,25 @@ def hue(nm: float) -> tuple[float, float, float]:
     return r, g, b
 
 
+def names_of(models: Sequence[Model]) -> list[str]:
+    """What models are called in a legend: their classes; where these are equal with what differs, or with numbers."""
+    classes = [type(model).__name__ for model in models]
+    names = list(classes)
+    for part in ("distribution", "masking"):
+        kinds = [type(getattr(model, part, None)).__name__ for model in models]
+        for k, (name, kind) in enumerate(zip(classes, kinds, strict=True)):
+            if {other for same, other in zip(classes, kinds, strict=True) if same == name} != {kind}:
+                names[k] += f" ({kind})"
+    return [f"{name} {names[: k + 1].count(name)}" if names.count(name) > 1 else name for k, name in enumerate(names)]
+
+
 @cache
 def can_render() -> bool:
     """Whether VTK can draw off screen; tried in a process of its own, which without a GL library is killed."""
-    trial = "import pyvista; pyvista.Plotter(off_screen=True, window_size=(8, 8)).screenshot(return_img=True)"
+    trial = (
+        "import sys, vtkmodules.vtkRenderingOpenGL2, vtkmodules.vtkRenderingCore as vtk; view = vtk.vtkRenderWindow(); "
+        "view.SetOffScreenRendering(True); view.Render(); sys.exit(not view.SupportsOpenGL())"
+    )
     try:
         return subprocess.run([sys.executable, "-c", trial], capture_output=True, timeout=120).returncode == 0
     except (OSError, subprocess.TimeoutExpired):

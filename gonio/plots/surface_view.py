@@ -34,7 +34,9 @@ def show(mesh: Mesh) -> None:
     faces: Any = mesh.faces.astype(np.int64)
     surface = pyvista.PolyData.from_regular_faces(mesh.vertices, faces)
     surface["height (µm)"] = mesh.vertices[:, 2]
-    plotter: Any = pyvista.Plotter()
-    plotter.add_mesh(surface, cmap=COLOURS)
+    plotter: Any = pyvista.Plotter(title="gonio: surface")
+    # Beside the surface: a level bar would write its numbers over its name.
+    bar: Any = {"vertical": True, "position_x": 0.88, "position_y": 0.2, "height": 0.6, "n_labels": 5, "fmt": "%.3g"}
+    plotter.add_mesh(surface, cmap=COLOURS, scalar_bar_args=bar)
     plotter.add_axes()
     plotter.show()

@@ -12,7 +12,7 @@ import io
 import json
 import re
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ from xml.etree.ElementTree import Element
 
 from gonio import __version__, plots, tables
 from gonio.certificate import Certificate, certify
-from gonio.compare import compare
+from gonio.compare import Verdict, compare
 from gonio.fitting import rank
 from gonio.optics import Conductor, Dielectric, citation
 from gonio.report.explore import explored
@@ -29,7 +29,6 @@ from gonio.report.words import best, errors, summary
 from microsurfaces.files import replacing
 
 if TYPE_CHECKING:
-    from gonio.compare import Verdict
     from gonio.fitting import Fit
     from gonio.measurement import Measurement
     from gonio.models import Model
@@ -43,35 +42,40 @@ POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inli
 def report(
     measurement: Measurement,
     path: str | Path,
-    models: Sequence[Model] = (),
+    models: Sequence[Model | Verdict] = (),
     fits: Sequence[Fit] = (),
     command: str = "",
+    pictures: Iterable[Path] = (),
 ) -> Path:
     """Write a measurement, its comparison with `models` and the `fits` as one HTML page, and return its path.
 
-    `command` is what made the page, for those who want to make it again. What a measurement does not have (one from
-    elsewhere keeps no orders, apertures have no lobes) is left out with a sentence. Raises ValueError if nothing was
-    measured, and if plotly is not installed.
+    What exists already is not made again: a model that was compared may stand there as its verdict, and `pictures` are
+    files called lobes.png, slices.png, hemisphere.png, albedo.png, difference.png or fits.png, which go into the page
+    as they are. `command` is what made the page, for those who want to make it again. What a measurement does not have
+    (one from elsewhere keeps no orders, apertures have no lobes) is left out with a sentence. Raises ValueError if
+    nothing was measured, and if plotly is not installed.
     """
     path = Path(path)
-    library = _plotly()
+    library = script(_plotly(), id="plotly", type="text/plain")
     if not measurement.measured.any():
         raise ValueError("no incidence of this measurement was measured: nothing to report")
     verdicts, complaints = _verdicts(measurement, models)
     certificate = _certificate(measurement)
+    shown = [model.model if isinstance(model, Verdict) else model for model in models]
+    picture = functools.partial(_picture, {drawn.stem: drawn for drawn in pictures})
     sections = (
         _section("Summary", *paragraphs(*summary(measurement, verdicts, certificate))),
         _explore(measurement),
-        _section("Pictures", *_pictures(measurement, models, best(verdicts))),
+        _section("Pictures", *_pictures(measurement, shown, best(verdicts), picture)),
         _section("Albedo and energy", *_energy(measurement)),
         _section("Models", *_comparison(verdicts, complaints)),
-        *([_section("Fits", *_fitted(fits))] if fits else []),
+        *([_section("Fits", *_fitted(measurement, fits, picture))] if fits else []),
         _section("Self-checks", *_checks(certificate)),
         _section("The experiment", *_experiment(measurement)),
-        _section("Where it comes from", *_provenance(measurement, models, command)),
+        _section("Where it comes from", *_provenance(measurement, shown, command)),
     )
     content = data("data", explored(measurement, verdicts))
-    text = page(_document(_title(measurement), sections, [script(library), content, script(_part("explore.js"))]))
+    text = page(_document(_title(measurement), sections, [library, content, script(_part("explore.js"))]))
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path
@@ -167,7 +171,13 @@ def _control(name: str, words: str, element: Element) -> Element:
 # --- Pictures ---------------------------------------------------------------------------------------------------------
 
 
-def _pictures(measurement: Measurement, models: Sequence[Model], chosen: Verdict | None) -> list[Element]:
+Picture = Callable[[str, Callable[[Path], Path], str], Element]
+"""A figure, by its name, how it is drawn, and its caption."""
+
+
+def _pictures(
+    measurement: Measurement, models: Sequence[Model], chosen: Verdict | None, picture: Picture
+) -> list[Element]:
     """The figures of `plots`; a sentence in place of one that this measurement does not allow."""
     draw: dict[str, tuple[Callable[[Path], Path], str]] = {
         "lobes": (
@@ -192,17 +202,16 @@ def _pictures(measurement: Measurement, models: Sequence[Model], chosen: Verdict
             lambda path: plots.difference(measurement, chosen, path),
             f"{tables.name_of(chosen.model)} against the measurement: where it is too bright and where too dark.",
         )
-    return [_picture(name, *how) for name, how in draw.items()]
+    return [picture(name, *how) for name, how in draw.items()]
 
 
-def _picture(name: str, draw: Callable[[Path], Path], caption: str) -> Element:
+def _picture(drawn: Mapping[str, Path], name: str, draw: Callable[[Path], Path], caption: str) -> Element:
     from PIL import Image
 
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            content = draw(Path(folder) / f"{name}.png").read_bytes()
-        except ValueError as error:
-            return tag("p", f"No picture of the {name}: {error}.")
+    try:
+        content = drawn[name].read_bytes() if name in drawn else _drawing(draw)
+    except ValueError as error:
+        return tag("p", f"No picture of the {name}: {error}.")
     width, height = Image.open(io.BytesIO(content)).size
     picture = tag(
         "img",
@@ -213,6 +222,11 @@ def _picture(name: str, draw: Callable[[Path], Path], caption: str) -> Element:
         decoding="async",
     )
     return tag("figure", picture, tag("figcaption", caption))
+
+
+def _drawing(draw: Callable[[Path], Path]) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        return draw(Path(folder) / "picture.png").read_bytes()
 
 
 # --- Numbers ----------------------------------------------------------------------------------------------------------
@@ -226,10 +240,13 @@ def _energy(measurement: Measurement) -> list[Element]:
     return [*parts, table(orders, "Orders of scattering in the reflected light, and what did not come back")]
 
 
-def _verdicts(measurement: Measurement, models: Sequence[Model]) -> tuple[list[Verdict], list[str]]:
+def _verdicts(measurement: Measurement, models: Sequence[Model | Verdict]) -> tuple[list[Verdict], list[str]]:
     """How each model compares, and a sentence for each that cannot be compared."""
     verdicts, complaints = [], []
     for model in models:
+        if isinstance(model, Verdict):
+            verdicts.append(model)
+            continue
         try:
             verdicts.append(compare(measurement, model))
         except ValueError as error:
@@ -264,8 +281,9 @@ def _comparison(verdicts: Sequence[Verdict], complaints: Sequence[str]) -> list[
     return [*parts, tag("p", note, class_="note"), *paragraphs(*complaints)]
 
 
-def _fitted(fits: Sequence[Fit]) -> list[Element]:
-    parts = []
+def _fitted(measurement: Measurement, fits: Sequence[Fit], picture: Picture) -> list[Element]:
+    caption = "Fits: what was measured and the fitted models, what they leave over, and the parameters' 95 % intervals."
+    parts = [picture("fits", functools.partial(plots.fits, measurement, fits), caption)]
     for found in fits:
         name = tables.name_of(found.model)
         parts += [tag("h3", name), table(tables.parameters(found), f"Fitted to {tables.light(found.order)}")]

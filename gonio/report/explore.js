@@ -5,8 +5,9 @@
   const rad = Math.PI / 180;
   const direction = (theta, phi) => [
     Math.sin(theta * rad) * Math.cos(phi * rad), Math.sin(theta * rad) * Math.sin(phi * rad), Math.cos(theta * rad)];
-  const MODELS = [["#009e73", "dash"], ["#cc79a7", "dashdot"], ["#56b4e9", "longdash"], ["#b2182b", "dot"]];
+  const DASHES = ["dash", "dashdot", "longdash", "dot"];
   const FONT = { family: "system-ui, sans-serif", size: 12, color: data.colours.ink };
+  const NO_CONTOURS = { x: { highlight: false }, y: { highlight: false }, z: { highlight: false } };
   const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
 
   const options = (name, words) => words.forEach((text, k) => at(name).add(new Option(text, k)));
@@ -19,17 +20,15 @@
     incidence: Number(at("incidence").value), channel: Number(at("channel").value),
     order: Number(at("order").value), logarithmic: at("radius").value === "logarithmic",
   });
-  const angles = (s) => {
-    const { theta, phi } = data.incidences[s.incidence];
-    return `theta_i ${theta}°, phi_i ${phi}°`;
-  };
 
   // --- The lobe: a closed surface whose radius is the light sent into a direction -------------------------------
+
+  const brightest = (s) => Math.max(...data.lobes.values[s.incidence][s.order][s.channel].map((v) => v ?? 0)) || 1;
 
   function shape(s) {
     const { theta, dphi, values } = data.lobes;
     const flat = values[s.incidence][s.order][s.channel];
-    const peak = Math.max(...flat.map((v) => v ?? 0)) || 1;
+    const peak = brightest(s);
     const radius = (v) => v === null ? null
       : s.logarithmic ? Math.max(0, 1 + Math.log10(Math.max(v, 1e-300) / peak) / 3) : Math.max(0, v) / peak;
     const colour = (v) => v === null ? null : s.logarithmic ? Math.log10(Math.max(v, peak * 1e-3)) : v;
@@ -48,7 +47,7 @@
       }
       Object.keys(grid).forEach((name) => grid[name].push(line[name]));
     });
-    return { ...grid, peak };
+    return grid;
   }
 
   function line3d(points, colour, width) {
@@ -62,18 +61,24 @@
     const around = Array.from({ length: 73 }, (_, k) => 5 * k);
     const rings = [30, 60, 90].map((t) =>
       line3d(around.map((a) => direction(90, a).map((c) => c * Math.sin(t * rad))), "#b9b9b4", 2));
-    const edge = around.map((a) => direction(90, a));
-    const plane = { type: "mesh3d", x: edge.map((p) => p[0]), y: edge.map((p) => p[1]), z: edge.map(() => -0.012),
-      delaunayaxis: "z", color: data.colours.paper, hoverinfo: "skip", lighting: { ambient: 1, diffuse: 0, specular: 0 } };
+    // Surfaces and lines alone: every other kind of trace takes a graphics card a while to prepare for.
+    const disc = [0, 1].map((r) => around.map((a) => direction(90, a).map((c) => r * c)));
+    const part = (k) => disc.map((row) => row.map((point) => point[k]));
+    const plane = { type: "surface", x: part(0), y: part(1), z: disc.map((row) => row.map(() => -0.012)), hoverinfo: "skip",
+      showscale: false, colorscale: [[0, data.colours.paper], [1, data.colours.paper]],
+      lighting: { ambient: 1, diffuse: 0, specular: 0, fresnel: 0 }, contours: NO_CONTOURS };
     const arc = line3d(around.slice(0, 37).map((a) => direction(a - 90, 0)), "#8a8a86", 2);
     const ray = (phi, colour) => line3d([0, 1.3].map((r) => direction(theta, phi).map((c) => r * c)), colour, 5);
+    return [plane, ...rings, arc, ray(0, lamp), ray(180, mirror)];
+  }
+
+  function names(theta) {
+    const { lamp, mirror } = data.colours;
     const apart = theta < 4 ? 0.15 : 0;
-    const ends = [[0, apart], [180, -apart]].map(([phi, aside]) =>
-      direction(theta, phi).map((c, k) => 1.4 * c + (k === 0 ? aside : 0)));
-    const names = { type: "scatter3d", mode: "text", hoverinfo: "skip", showlegend: false, text: ["lamp", "mirror"],
-      textfont: { ...FONT, color: [lamp, mirror] },
-      x: ends.map((p) => p[0]), y: ends.map((p) => p[1]), z: ends.map((p) => p[2]) };
-    return [plane, ...rings, arc, ray(0, lamp), ray(180, mirror), names];
+    return [["lamp", 0, apart, lamp], ["mirror", 180, -apart, mirror]].map(([text, phi, aside, color]) => {
+      const [x, y, z] = direction(theta, phi).map((c) => 1.4 * c);
+      return { x: x + aside, y, z, text, showarrow: false, font: { ...FONT, color } };
+    });
   }
 
   function bar(s, peak) {
@@ -89,17 +94,16 @@
   function drawLobe(s) {
     const lobe = shape(s);
     const surface = { type: "surface", x: lobe.x, y: lobe.y, z: lobe.z, surfacecolor: lobe.colour, text: lobe.text,
-      hoverinfo: "text", colorscale: "Viridis", connectgaps: false, ...bar(s, lobe.peak),
+      hoverinfo: "text", colorscale: "Viridis", connectgaps: false, ...bar(s, brightest(s)),
       lighting: { ambient: 0.65, diffuse: 0.6, specular: 0.08, roughness: 0.7 },
-      contours: { x: { highlight: false }, y: { highlight: false }, z: { highlight: false } } };
+      contours: NO_CONTOURS };
     const axis = (range) => ({ visible: false, range, showspikes: false });
     const eye = { x: 1.35 * data.camera[0], y: 1.35 * data.camera[1], z: 1.35 * data.camera[2] };
     const layout = { margin: { l: 0, r: 0, t: 0, b: 0 }, font: FONT, uirevision: "kept", paper_bgcolor: "#fff",
-      scene: { xaxis: axis([-1.45, 1.45]), yaxis: axis([-1.45, 1.45]), zaxis: axis([-0.1, 1.45]),
+      scene: { annotations: names(data.incidences[s.incidence].theta), xaxis: axis([-1.45, 1.45]), yaxis: axis([-1.45, 1.45]), zaxis: axis([-0.1, 1.45]),
         aspectmode: "manual", aspectratio: { x: 2.2, y: 2.2, z: 1.176 },
         camera: { eye, center: { x: 0, y: 0, z: -0.03 }, projection: { type: "orthographic" } } } };
     Plotly.react("lobe", [surface, ...guides(s)], layout, CONFIG);
-    return lobe.peak;
   }
 
   // --- The slice: the plane of incidence, with two standard errors ----------------------------------------------
@@ -143,7 +147,8 @@
   function modelled(s) {
     const angle = data.slices[s.incidence].angle;
     return data.models.map((model, k) => {
-      const [colour, dash] = MODELS[k % MODELS.length];
+      const { models } = data.colours;
+      const [colour, dash] = [models[k % models.length], DASHES[k % DASHES.length]];
       const other = model.order !== data.orders[s.order];
       const words = data.order_words[data.orders.indexOf(model.order)];
       return { x: angle, y: model.values[s.incidence][s.channel].map(positive), mode: data.curves ? "lines" : "markers",
@@ -166,6 +171,7 @@
     const { lamp, mirror } = data.colours;
     const margin = { l: 64, r: 12, t: 48, b: 66 + 19 * traces.length };
     const height = at("slice").clientHeight - margin.t - margin.b;
+    const decades = top - bottom > 1.5;
     const sides = at("slice").clientWidth < 420 ? "" : ", lamp's side < 0 < mirror's";
     const layout = { margin, font: FONT, hovermode: "closest", paper_bgcolor: "#fff",
       plot_bgcolor: "#fff",
@@ -173,7 +179,8 @@
       xaxis: { range: [-90, 90], dtick: 30, title: { text: `theta_o (degrees)${sides}` },
         gridcolor: "#dddddd", zeroline: false },
       yaxis: { type: "log", range: [Math.max(bottom, top - data.decades), top], title: { text: "BRDF (1/sr)" },
-        gridcolor: "#dddddd", exponentformat: "power", dtick: top - bottom > 1.5 ? 1 : "D1" },
+        // Powers of ten are written a quarter larger than what is asked for.
+        gridcolor: "#dddddd", exponentformat: "power", dtick: decades ? 1 : "D1", tickfont: { size: decades ? 9.6 : 12 } },
       shapes: [mark(-theta, lamp), mark(theta, mirror)],
       annotations: [name("lamp", -theta, lamp, theta < 20 ? "right" : "center"),
         name("mirror", theta, mirror, theta < 20 ? "left" : "center")] };
@@ -182,28 +189,50 @@
 
   // --- Both -----------------------------------------------------------------------------------------------------
 
-  function show() {
-    const s = state();
-    const words = angles(s);
+  function tell(s) {
+    const { theta, phi } = data.incidences[s.incidence];
+    const words = `theta_i ${theta}°, phi_i ${phi}°`;
     at("incidence-value").textContent = words;
     at("incidence").setAttribute("aria-valuetext", words);
-    const parts = [words, data.channels[s.channel], data.order_words[s.order]];
-    if (data.lobes !== null) parts.push(`outer arc of the lobe at ${drawLobe(s).toPrecision(3)} /sr`);
-    drawSlice(s);
+    const parts = data.lobes === null ? [] : [`Outer arc of the lobe at ${brightest(s).toPrecision(3)} /sr`];
     if (data.choice) parts.push(`${data.choice} are kept here`);
-    at("shown").textContent = parts.join(", ");
+    at("shown").textContent = parts.join("; ");
     const others = data.models.some((model) => model.order !== data.orders[s.order]);
     at("models-note").textContent = others
       ? "Fainter models speak of other light than what is shown, as their names tell: choose it to compare." : "";
   }
 
+  function show() {
+    const s = state();
+    tell(s);
+    drawSlice(s);
+    if (data.lobes !== null) drawLobe(s);
+  }
+
   if (data.incidences.length === 1) at("incidence").hidden = true;
   if (data.lobes === null) at("radius").parentElement.hidden = true;
   if (data.orders.length === 1) at("order").parentElement.hidden = true;
-  ["incidence", "channel", "order", "radius"].forEach((name) => at(name).addEventListener("input", show));
-  let resizing = 0;
-  window.addEventListener("resize", () => { clearTimeout(resizing); resizing = setTimeout(show, 150); });
   document.querySelector(".controls").addEventListener("submit", (event) => event.preventDefault());
-  // The words first: a browser needs a moment for its first picture.
-  requestAnimationFrame(() => setTimeout(() => { show(); performance.mark("drawn"); }));
+
+  function start() {
+    // Until here the library was mere text, so that reading it kept nobody waiting.
+    const library = document.createElement("script");
+    library.textContent = at("plotly").textContent;
+    document.head.append(library);
+    ["incidence", "channel", "order", "radius"].forEach((name) => at(name).addEventListener("input", show));
+    let resizing = 0;
+    window.addEventListener("resize", () => { clearTimeout(resizing); resizing = setTimeout(show, 150); });
+  }
+
+  // The words first, then the slice, then the lobe, for which a browser needs longest.
+  const soon = (work) => requestAnimationFrame(() => setTimeout(work));
+  tell(state());
+  soon(() => {
+    start();
+    drawSlice(state());
+    soon(() => {
+      if (data.lobes !== null) drawLobe(state());
+      performance.mark("drawn");
+    });
+  });
 })();

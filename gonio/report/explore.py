@@ -16,6 +16,7 @@ from gonio.plots.lobe_scene import CAMERA
 from gonio.plots.slices import Cut as Cut
 from gonio.plots.style import (
     DECADES,
+    FITTED,
     INK,
     LAMP,
     MIRROR,
@@ -71,7 +72,7 @@ def explored(measurement: Measurement, verdicts: Sequence[Verdict]) -> dict[str,
         "models": [_model(verdict, incidences, cuts, wavelengths) for verdict in verdicts],
         "decades": DECADES,
         "camera": _rounded(CAMERA),
-        "colours": {"lamp": LAMP, "mirror": MIRROR, "ink": INK, "paper": PAPER},
+        "colours": {"lamp": LAMP, "mirror": MIRROR, "ink": INK, "paper": PAPER, "models": FITTED},
     }
 
 

@@ -44,11 +44,11 @@ def paragraphs(*texts: str) -> list[Element]:
     return [tag("p", text) for text in texts if text]
 
 
-def script(code: str) -> Element:
+def script(code: str, **attributes: str) -> Element:
     """Code of our own or of a library. Raises ValueError if it would end its own element."""
     if "</script" in code.lower() or "<!--" in code:
         raise ValueError("a script with </script or <!-- in it cannot be part of a page")
-    element = Element("script")
+    element = Element("script", attributes)
     element.text = code
     return element
 
