@@ -2,7 +2,8 @@
 
     .venv/bin/python benchmarks/everything.py [SECTION ...]
 
-About half an hour on two cores; with names of sections (speed, growth, accuracy, models) only those are measured again.
+About half an hour on two cores; with names of sections (speed, growth, accuracy, models, campaigns) only those are
+measured again.
 Mitsuba and Radiance take part if they are installed:
 
     .venv/bin/pip install mitsuba pyradiance      # Mitsuba's llvm variant needs libllvm too, Debian: libllvm19
@@ -16,6 +17,7 @@ import sys
 from pathlib import Path
 
 import accuracy
+import campaigns
 import growth
 import models
 import speed
@@ -26,6 +28,7 @@ SECTIONS = {
     "growth": ("How time and memory grow, and where the time goes", growth.main),
     "accuracy": ("What the time buys", accuracy.main),
     "models": ("Closed-form models", models.main),
+    "campaigns": ("Campaigns", campaigns.main),
 }
 RESULTS = Path(__file__).with_name("RESULTS.md")
 

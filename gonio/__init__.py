@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gonio import formats, models, plots
+    from gonio.campaign.dataset import open_campaign
     from gonio.certificate import certify
     from gonio.compare import Verdict, compare
     from gonio.detectors import Apertures, HemisphereGrid, Klems
@@ -53,6 +54,7 @@ _HOME = {
     "export": "gonio.formats",
     "fit": "gonio.fitting",
     "load": "gonio.formats",
+    "open_campaign": "gonio.campaign.dataset",
     "save": "gonio.measurement",
 }
 
@@ -83,6 +85,7 @@ __all__ = [
     "formats",
     "load",
     "models",
+    "open_campaign",
     "plots",
     "save",
 ]

@@ -101,6 +101,8 @@ class Experiment:
         """
         path = Path(path)
         table = read_toml(path, "an experiment needs at least the tables [surface] and [material]")
+        if "sweep" in table:
+            raise InputError(f"{path} is a campaign: gonio campaign run {path}")
         mistakes = [sentence for override in overrides for sentence in override_value(table, override)]
         resolve_paths(table, path.absolute().parent)
         try:

@@ -144,16 +144,54 @@ class Goniometer:
                 at = incidence.row, incidence.column
                 index = incidence.row * sums.sizes["phi_i"] + incidence.column
                 try:
-                    tally = job.incidence(incidence, None if replicates is None else replicates[index])
+                    tally = job.incidence(incidence, None if replicates is None else range(replicates[index]))
                     if entry:
                         entry.result()
                 except KeyboardInterrupt:
                     interrupted = True
                     break
-                entry = clerk.submit(_enter, tally, sums, at)
+                entry = clerk.submit(enter, tally, sums, at)
             if entry:
                 entry.result()
-        return Measurement(sums, _attributes(self, scene, seed, interrupted))
+        return Measurement(sums, self.provenance(scene, seed, interrupted))
+
+    def tally(
+        self,
+        scene: Scene,
+        seed: int,
+        incidence: Incidence,
+        threads: int | None = None,
+        progress: Progress | None = None,
+        replicates: range | None = None,
+    ) -> Tally:
+        """Count the light of one of the `incidences`, or of some of its `replicates` only; see `measure`.
+
+        Tallies of different replicates add up to what all of them together would have been. Raises KeyboardInterrupt,
+        and MemoryError as `measure` does.
+        """
+        workers = threads or os.cpu_count() or 1
+        _refuse_what_cannot_fit(self, workers)
+        return _Job(self, scene, seed, workers, progress, 1).incidence(incidence, replicates)
+
+    def provenance(self, scene: Scene, seed: int, interrupted: bool = False) -> dict[str, Any]:
+        """What is known of a measurement, as plain strings and numbers that any netCDF reader shows."""
+        packages = ("gonio", "numpy", "numba", "embreex", "xarray")
+        versions = {name: _version(name) for name in packages}
+        return {
+            "Conventions": "CF-1.11",
+            "title": "BRDF measured by gonio, a virtual gonioreflectometer",
+            "source": "ray tracing of a microsurface",
+            "goniometer": TypeAdapter(Goniometer).dump_json(self).decode(),
+            "detector": TypeAdapter(Detector).dump_json(self.detector).decode(),
+            "material": TypeAdapter(type(scene.material)).dump_json(scene.material).decode(),
+            "surface_statistics": json.dumps(scene.statistics.as_dict()),
+            "facets": json.dumps(scene.relief.facets.as_dict()),
+            "isotropic": int(self.azimuth == "average"),
+            "interrupted": int(interrupted),
+            "seed": str(seed),
+            "versions": json.dumps({**versions, "python": platform.python_version()}),
+            "platform": f"{platform.system()} {platform.machine()}",
+        }
 
 
 class Incidence(NamedTuple):
@@ -186,8 +224,8 @@ def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) 
     return float(values[order][np.searchsorted(cumulative, cumulative[-1] / 2)])
 
 
-def _enter(tally: Tally, sums: Any, at: tuple[int, int]) -> None:
-    """Write the sums of one incidence in their place."""
+def enter(tally: Tally, sums: Any, at: tuple[int, int]) -> None:
+    """Write the tally of one incidence into `sums` (see `empty_sums`), at its row and column."""
     scatter, squares = tally.scatter(), Wide.zeros(tally.total.shape)
     squares.add_square(tally.total)
     for name, value in (
@@ -226,8 +264,8 @@ class _Job:
     finished: int = 0
     """Paths of the incidences that are complete."""
 
-    def incidence(self, incidence: Incidence, replicates: int | None) -> Tally:
-        """Measure one incidence: a pilot of replicates, and as many more as the target needs."""
+    def incidence(self, incidence: Incidence, replicates: range | None) -> Tally:
+        """Measure one incidence: those replicates, or a pilot of them and as many more as the target needs."""
         g = self.goniometer
         wavelengths = np.array(g.wavelengths)
         theta, phi = incidence.theta, incidence.phi
@@ -238,7 +276,7 @@ class _Job:
         setting = (lamp, matter(self.scene.material, wavelengths), g.detector, phi)
         shape = (g.orders + 1, g.detector.bins + 1, len(wavelengths))
         tally = Tally.empty(g.replicates, math.ceil(g.paths / g.replicates), shape)
-        self._run(tally, setting, range(replicates or g.replicates))
+        self._run(tally, setting, replicates or range(g.replicates))
         if replicates is None and g.target_error is not None:
             wanted = _wanted(tally, g.target_error)
             if wanted * tally.paths > MAX_PATHS:
@@ -253,7 +291,8 @@ class _Job:
 
     def _run(self, tally: Tally, setting: tuple[Lamp, Matter, Detector, float], replicates: range) -> None:
         """Trace replicates on all threads; every thread takes the next group when it has finished one."""
-        expected = self.finished + tally.paths * replicates.stop + (self.incidences - 1) * tally.paths * tally.pilot
+        count = tally.replicates + len(replicates) + (self.incidences - 1) * tally.pilot
+        expected = self.finished + tally.paths * count
         share = math.ceil(len(replicates) / self.threads)
         group = max(1, min(share, GROUP_BYTES // tally.total.nbytes))
         queue = (replicates[first : first + group] for first in range(0, len(replicates), group))
@@ -329,27 +368,6 @@ def empty_sums(goniometer: Goniometer) -> Any:
         },
     )
     return sums.assign_attrs(pilot=goniometer.replicates, units="2-32 path")
-
-
-def _attributes(goniometer: Goniometer, scene: Scene, seed: int, interrupted: bool) -> dict[str, Any]:
-    """Provenance of a measurement, as plain strings and numbers that any netCDF reader shows."""
-    packages = ("gonio", "numpy", "numba", "embreex", "xarray")
-    versions = {name: _version(name) for name in packages}
-    return {
-        "Conventions": "CF-1.11",
-        "title": "BRDF measured by gonio, a virtual gonioreflectometer",
-        "source": "ray tracing of a microsurface",
-        "goniometer": TypeAdapter(Goniometer).dump_json(goniometer).decode(),
-        "detector": TypeAdapter(Detector).dump_json(goniometer.detector).decode(),
-        "material": TypeAdapter(type(scene.material)).dump_json(scene.material).decode(),
-        "surface_statistics": json.dumps(scene.statistics.as_dict()),
-        "facets": json.dumps(scene.relief.facets.as_dict()),
-        "isotropic": int(goniometer.azimuth == "average"),
-        "interrupted": int(interrupted),
-        "seed": str(seed),
-        "versions": json.dumps({**versions, "python": platform.python_version()}),
-        "platform": f"{platform.system()} {platform.machine()}",
-    }
 
 
 def _version(package: str) -> str:

@@ -161,7 +161,7 @@ class Measurement:
         """What a notebook shows: lobes in the plane of incidence, and key numbers."""
         lamps = sorted({theta for theta, _ in self.incidences()})
         title = str(self.attributes.get("title") or "Measurement")
-        return card(title, self._key_numbers(lamps), self._sketch(lamps))
+        return card(title, self._key_numbers(lamps), self.sketch())
 
     def _key_numbers(self, lamps: list[float]) -> dict[str, object]:
         """What a notebook tells, in words."""
@@ -189,8 +189,9 @@ class Measurement:
             rows["paths"] = f"{int(data['paths'].sum()):,} in all{', interrupted' if self.interrupted else ''}"
         return rows
 
-    def _sketch(self, lamps: list[float]) -> str:
-        """Lobes of a few incidences at the middle wavelength."""
+    def sketch(self) -> str:
+        """A small drawing, as SVG: lobes of a few incidences at the middle wavelength."""
+        lamps = sorted({theta for theta, _ in self.incidences()})
         shown = [lamps[k] for k in thinned(lamps)]
         if "dphi" not in self.dataset.dims:
             return plane_of_incidence(shown)

@@ -112,6 +112,15 @@ class Tally:
             ledger.fill(0)
             self.replicates += len(replicates)
 
+    def merge(self, other: Tally) -> None:
+        """Add the tally of other replicates of the same incidence, in place."""
+        self.total += other.total
+        self.piloted += other.piloted
+        self.squares.add(other.squares)
+        self.hits += other.hits
+        self.ledger += other.ledger
+        self.replicates += other.replicates
+
     def scatter(self) -> Wide:
         """pilot · Σx² - (Σx)² over the pilot's replicates, of the shape of `total`."""
         return self.squares.scatter(self.piloted, self.pilot)

@@ -16,7 +16,7 @@ LEVELS = [
     {"gonio.campaign"},
     {"gonio.experiment", "gonio.validate"},
     {"gonio.report"},
-    {"gonio.plots", "gonio.render", "gonio.certificate", "gonio.fitting", "gonio.tables"},
+    {"gonio.plots", "gonio.render", "gonio.certificate", "gonio.fitting", "gonio.noise", "gonio.tables"},
     {"gonio.appearance", "gonio.compare"},
     {"gonio.formats"},
     {"gonio.goniometer"},

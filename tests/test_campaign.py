@@ -297,6 +297,25 @@ def test_merged_units_are_the_file_that_the_experiment_gives(kind: str, tmp_path
     assert file.read_bytes() == gonio.save(direct, tmp_path / "direct.nc").read_bytes()
 
 
+@pytest.mark.parametrize("replicates", [4, 16, 18])
+def test_a_large_measurement_is_cut_into_blocks_of_replicates(
+    replicates: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = Experiment(ROUGH, gonio.Conductor("Au"), replace(TINY, replicates=replicates), realisations=2)
+    whole = Plan.of(Campaign.of([experiment]))
+    monkeypatch.setattr(units, "BLOCK_PATHS", 1000)
+    plan = Plan.of(Campaign.of([experiment]))
+    blocks = {4: 1, 16: 4, 18: 4}[replicates]
+    assert len(plan.units[0]) == 2 * 4 * blocks
+    assert sum(unit.paths for unit in plan.units[0]) == sum(unit.paths for unit in whole.units[0])
+    for part in (1, 2, 3):
+        engine.run(Campaign.of([experiment]), tmp_path / "c", shard=(part, 3))
+    (file,) = results.merge(tmp_path / "c").files
+    assert file.read_bytes() == gonio.save(experiment.run(), tmp_path / "direct.nc").read_bytes()
+    status = folder.status(Folder(tmp_path / "c"))
+    assert status.paths == status.paths_finished == sum(unit.paths for unit in whole.units[0])
+
+
 def test_the_number_of_threads_changes_no_byte(toy: Campaign, finished: Path, tmp_path: Path) -> None:
     engine.run(toy, tmp_path, threads=3)
     assert_same(tmp_path, finished)
@@ -757,7 +776,8 @@ def test_run_status_merge_from_the_command_line(run: Gonio, finished: Path) -> N
     assert (code, err) == (1, "2 of 4 experiments lack units: run the campaign again.\n")
     assert run("run", "toy.toml", "--quiet") == (0, "", "")
     code, out, err = run("merge", "out/toy")
-    assert (code, out) == (0, "4 measurements and index.csv in out/toy/measurements/\n")
+    assert code == 0
+    assert out.startswith("4 measurements and index.csv in out/toy/measurements/\nAll 4 experiments together:\n")
     assert content(Path("out/toy")) == content(finished)
     rows = index(Path("out/toy"))
     assert [(row["experiment"], row["surface.alpha"], row["material.name"]) for row in rows] == [
@@ -840,15 +860,19 @@ def test_the_status_of_ten_thousand_units(tmp_path: Path) -> None:
     assert "7000 of 10000 units are finished, 70% of the paths; 14 of 20 experiments are" in found.stdout
 
 
-CONFIGS = sorted((Path(__file__).parents[1] / "configs/campaigns").glob("*.toml"))
+CONFIGS = [
+    path for path in sorted((Path(__file__).parents[1] / "configs").glob("*.toml")) if "[sweep]" in path.read_text()
+]
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_the_campaigns_in_configs_run(path: Path, tmp_path: Path) -> None:
     text = path.read_text()
     assert text.startswith("# ")
-    assert f"#     gonio campaign run configs/campaigns/{path.name} -o " in text
-    small = ["goniometer.paths=512", "surface.samples=32", "surface.side=100.0"]
+    with pytest.raises(InputError, match=f"{path.name} is a campaign: gonio campaign run"):
+        Experiment.read(path)
+    assert f"#     gonio campaign run configs/{path.name} -o " in text
+    small = ["goniometer.paths=512", "surface.samples=32", "surface.side=100.0", "realisations=2"]
     campaign = Campaign.read(path, small)
     assert campaign.title
     assert not engine.run(campaign, tmp_path).failures

@@ -122,6 +122,7 @@ def test_run_writes_the_results_and_prints_what_was_measured(run: Gonio) -> None
     assert values[1] == pytest.approx(albedo, abs=0.01)
     for words in ("450 nm", "1 hit", "lost or truncated", "rays/s", "CookTorrance", "Microfacet", *results):
         assert words in out
+    assert "Relative standard error of the bins:" in " ".join(out.split())
     page = Path("out/toy/report.html").read_text(encoding="utf-8")
     for name in pictures:
         assert base64.b64encode(Path("out/toy", name).read_bytes()).decode() in page

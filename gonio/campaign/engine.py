@@ -1,4 +1,5 @@
-"""Computes the units of a campaign that are missing: in this process, or in several that may die at any moment.
+"""Computes the units of a campaign that are missing: in this process, in several that may die at any moment, or on a
+cluster (`cluster`).
 
 Work is idempotent: a unit's file is the same bytes whoever writes it. Runs in one folder therefore need no lock; what
 another one has claimed is only left for last.
@@ -19,9 +20,11 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.campaign.folder import Folder
+from gonio.campaign.folder import Folder, paths_of
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from gonio.campaign.sweep import Campaign
     from gonio.campaign.units import Unit
     from gonio.experiment import Experiment
@@ -34,6 +37,13 @@ REPORT_SECONDS = 0.5
 
 STOP_SECONDS = 5.0
 """Workers that do not end by then are killed."""
+
+PACE_SECONDS = 3600.0
+"""What was finished longer ago tells nothing about how fast it goes now."""
+
+
+class ClusterError(RuntimeError):
+    """A cluster cannot go on: why, without the full stop."""
 
 
 @dataclass
@@ -57,6 +67,10 @@ class State:
     """Workers that died and were replaced."""
     changed: bool = False
     """Whether the folder held another campaign before."""
+    workers: int | None = None
+    """Those of a cluster that compute now."""
+    refused: list[str] = field(default_factory=list)
+    """A sentence for every worker of a cluster that may not compute."""
 
     @property
     def paths_done(self) -> int:
@@ -92,6 +106,11 @@ class Queue:
                 self._add(unit)
         self._held: set[str] = set()
         self.state = State(len(units), len(units) - len(missing), sum(unit.paths for unit in missing))
+
+    @property
+    def left(self) -> bool:
+        """Whether there are units that nobody has taken."""
+        return bool(self._groups or self._waiting or self._later)
 
     def take(self, relief: str | None = None, others: Sequence[str] = ()) -> Unit | None:
         """A unit to compute now, of the relief that is built already if there is one, else of none of `others`."""
@@ -176,29 +195,34 @@ def run(
     workers: int = 0,
     shard: tuple[int, int] = (1, 1),
     threads: int | None = None,
+    scheduler: str | None = None,
     report: Report | None = None,
 ) -> State:
     """Compute the units of a campaign that `folder` lacks.
 
-    With `workers` so many processes share the cores, otherwise this process uses all of them or `threads`. `shard`
-    (i, n) computes the i-th of n parts only. What is finished is kept whatever happens; calling again continues.
+    With `workers` so many processes share the cores, with a `scheduler` (its address) the workers of a Dask cluster
+    compute, each with its own number of threads; otherwise this process uses all cores or `threads`. `shard` (i, n)
+    computes the i-th of n parts only. What is finished is kept whatever happens; calling again continues.
 
-    Raises `InputError` for what cannot be run, OSError where nothing can be written, and KeyboardInterrupt.
+    Raises `InputError` for what cannot be run, OSError where nothing can be written, `ClusterError`, and
+    KeyboardInterrupt.
     """
     from gonio.campaign.units import Plan
 
-    plan, home = Plan.of(campaign), Folder(Path(folder))
-    manifest = plan.manifest()
-    _refuse_other_versions(home, manifest["versions"])
-    changed = home.create(manifest)
-    units = plan.shard(*shard)
-    queue = Queue(units, home, f", shard {shard[0]}/{shard[1]}" if shard[1] > 1 else "")
-    queue.state.changed = changed
-    told = report or (lambda _: None)
-    if workers:
-        _Crew(campaign.experiments, queue, told, home, threads or max(1, cores() // workers)).run(workers)
-    else:
-        _alone(campaign.experiments, queue, told, home, threads or cores())
+    with contextlib.nullcontext() if scheduler is None else _connected(scheduler) as client:
+        plan, home = Plan.of(campaign), Folder(Path(folder))
+        manifest = plan.manifest()
+        _refuse_other_versions(home, manifest["versions"])
+        changed = home.create(manifest)
+        queue = Queue(plan.shard(*shard), home, f", shard {shard[0]}/{shard[1]}" if shard[1] > 1 else "")
+        queue.state.changed = changed
+        told = report or (lambda _: None)
+        if client:
+            _on_cluster(client, campaign.experiments, queue, told, home)
+        elif workers:
+            _Crew(campaign.experiments, queue, told, home, threads or max(1, cores() // workers)).run(workers)
+        else:
+            _alone(campaign.experiments, queue, told, home, threads or cores())
     return queue.state
 
 
@@ -207,6 +231,17 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def seconds_left(folder: Folder) -> float | None:
+    """How long a campaign will take at the pace of the last hour; None where too little was finished in it."""
+    paths = paths_of(folder.manifest())
+    with os.scandir(folder.units) as entries:
+        finished = {entry.name[:-4]: entry.stat().st_mtime for entry in entries if entry.name[:-4] in paths}
+    now, left = time.time(), sum(paths.values()) - sum(paths[unit] for unit in finished)
+    recent = sorted((when, paths[unit]) for unit, when in finished.items() if when > now - PACE_SECONDS)
+    done = sum(count for _, count in recent[1:])
+    return left * (now - recent[0][0]) / done if done else None
 
 
 def _refuse_other_versions(folder: Folder, versions: dict[str, str]) -> None:
@@ -227,7 +262,7 @@ def _refuse_other_versions(folder: Folder, versions: dict[str, str]) -> None:
         )
 
 
-def _attempt(work: Callable[[], None]) -> str | None:
+def attempt(work: Callable[[], None]) -> str | None:
     """Do `work`; the sentence of what is wrong with this unit, if anything."""
     from gonio.experiment import InputError
 
@@ -238,6 +273,23 @@ def _attempt(work: Callable[[], None]) -> str | None:
     except MemoryError as error:
         return f"not enough memory: {error or 'make the surface, the detector or the number of workers smaller'}."
     return None
+
+
+# --- On a cluster ----------------------------------------------------------------------------------------------------
+
+
+def _connected(scheduler: str) -> contextlib.AbstractContextManager[Client]:
+    from gonio.campaign.cluster import connected
+
+    return connected(scheduler)
+
+
+def _on_cluster(
+    client: Client, experiments: Sequence[Experiment], queue: Queue, report: Report, folder: Folder
+) -> None:
+    from gonio.campaign.cluster import Crew
+
+    Crew(client, experiments, queue, report, Folder(folder.path.absolute())).run()
 
 
 # --- In this process -------------------------------------------------------------------------------------------------
@@ -256,7 +308,7 @@ def _alone(experiments: Sequence[Experiment], queue: Queue, report: Report, fold
     try:
         while unit := queue.take(relief):
             relief = unit.relief
-            failure = _attempt(lambda unit=unit: bench.measure(unit, experiments[unit.experiment], progress))  # type: ignore[misc]
+            failure = attempt(lambda unit=unit: bench.measure(unit, experiments[unit.experiment], progress))  # type: ignore[misc]
             queue.settle(unit, failure, rays=state.current.get(0, (0, 0))[1])
             report(state)
     finally:
@@ -390,7 +442,7 @@ def _work(connection: Connection, folder: str, threads: int) -> None:
             unit, experiment = connection.recv()
             traced = 0
             try:
-                failure = _attempt(lambda u=unit, e=experiment: bench.measure(u, e, progress))  # type: ignore[misc]
+                failure = attempt(lambda u=unit, e=experiment: bench.measure(u, e, progress))  # type: ignore[misc]
             except (BrokenPipeError, ConnectionResetError):
                 return
             except OSError as error:

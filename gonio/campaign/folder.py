@@ -16,7 +16,7 @@ import secrets
 import socket
 import time
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -152,6 +152,18 @@ def name_of(key: Any) -> str:
     return hashlib.blake2b(json.dumps(key, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
+def measurement_file(entries: Sequence[Mapping[str, Any]], number: int) -> str:
+    """The name of a merged measurement, of the manifest's experiment `number`; a hash tells it from earlier sweeps'."""
+    key = [entries[number]["experiment"], entries[number]["units"]]
+    return f"{number + 1:0{max(4, len(str(len(entries))))}d}-{name_of(key)[:8]}.nc"
+
+
+def paths_of(manifest: Mapping[str, Any]) -> dict[str, int]:
+    """How many paths each unit is planned to take, by its name."""
+    entries = manifest["experiments"]
+    return {unit: paths for entry in entries for unit, paths in zip(entry["units"], entry["paths"], strict=True)}
+
+
 def pack(note: Mapping[str, Any], arrays: Arrays) -> bytes:
     """A .npz file of arrays, with the note (JSON) and a checksum of everything; the same bytes for the same content."""
     text = json.dumps(note)
@@ -249,7 +261,7 @@ class Status:
 def status(folder: Folder) -> Status:
     """How far the campaign in `folder` is. Raises `InputError` where there is none."""
     manifest, finished = folder.manifest(), folder.finished()
-    paths = {unit: entry["paths"] for entry in manifest["experiments"] for unit in entry["units"]}
+    paths = paths_of(manifest)
     runs: dict[str, int] = {}
     for unit, claim in folder.claims().items():
         if unit not in finished:

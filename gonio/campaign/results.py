@@ -12,10 +12,11 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from gonio.campaign.folder import DamagedError, Folder, name_of, write_whole
+from gonio.campaign.folder import DamagedError, Folder, measurement_file, write_whole
 from gonio.campaign.units import joined
 from gonio.experiment import Experiment
 from gonio.measurement import Measurement, save
+from gonio.noise import Noises, noises
 
 
 @dataclass
@@ -28,6 +29,8 @@ class Merged:
     """Experiments that lack units."""
     damaged: list[str] = field(default_factory=list)
     """A sentence for every damaged unit, which has been set aside: run the campaign again."""
+    noises: dict[int, Noises] = field(default_factory=dict)
+    """How uncertain each experiment of several realisations is, and why; by number, from 0."""
     processors: set[str] = field(default_factory=set)
     """Instruction sets that the units were computed with: the same bits are promised on the same one only."""
 
@@ -46,18 +49,15 @@ def merge(folder: str | Path, progress: Callable[[int, int], None] | None = None
             result.incomplete += 1
             rows.append((entry["parameters"], ""))
         else:
-            path = home.measurements / _file_of(number, len(entries), entry)
+            path = home.measurements / measurement_file(entries, number)
             result.files.append(save(measurement, path))
             rows.append((entry["parameters"], path.name))
+            if entry["experiment"]["realisations"] > 1:
+                result.noises[number] = noises(measurement)
         if progress:
             progress(number + 1, len(entries))
     write_whole(home.measurements / "index.csv", _index(rows).encode())
     return result
-
-
-def _file_of(number: int, count: int, entry: Mapping[str, Any]) -> str:
-    """The name of an experiment's measurement; its hash tells it from that of an earlier sweep."""
-    return f"{number + 1:0{max(4, len(str(count)))}d}-{name_of([entry['experiment'], entry['units']])[:8]}.nc"
 
 
 def _measurement(home: Folder, entry: Mapping[str, Any], result: Merged) -> Measurement | None:

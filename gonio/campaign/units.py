@@ -1,4 +1,4 @@
-"""Units of work: one incidence of one specimen, named by all that decides its numbers, measured and read back."""
+"""Units of work: one incidence of one specimen, or a part of its replicates, named by all that decides its numbers."""
 
 from __future__ import annotations
 
@@ -6,37 +6,47 @@ import copy
 import functools
 import hashlib
 import importlib.metadata
+import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from gonio.campaign.folder import DamagedError, Folder, name_of
 from gonio.campaign.sweep import Campaign
-from gonio.detectors import Klems
 from gonio.experiment import Experiment, InputError, instruction_set
-from gonio.goniometer import Goniometer, Progress
+from gonio.goniometer import Goniometer, Incidence, Progress, empty_sums, enter
 from gonio.measurement import Measurement
 from gonio.scene import Scene
+from gonio.tally import Tally, Wide
 from microsurfaces import VGrooves
 
-FORMAT = 1
+FORMAT = 2
 """Of a unit's file and of the manifest."""
+
+BLOCK_PATHS = 1 << 24
+"""An incidence with more paths is cut into blocks of replicates, so that several workers can share it."""
+
+BLOCK_REPLICATES = 4
+"""A block has so many at least, which the threads of a worker share."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """One incidence of one specimen (with Klems's patches all of them, which are measured together)."""
+    """One incidence of one specimen, or a block of its replicates."""
 
     experiment: int
     """Its place in the campaign."""
     realisation: int
-    incidence: int | None
-    """Its place among those of the goniometer; None for all."""
+    incidence: int
+    """Its place among those of the goniometer."""
+    replicates: tuple[int, int] | None
+    """The first of its replicates and the one after the last; None if a target decides how many there are."""
     name: str
     relief: str
     """The same for units that need the same relief."""
@@ -47,40 +57,55 @@ class Unit:
 
 
 def units_of(number: int, experiment: Experiment) -> list[Unit]:
-    """The units of the campaign's experiment `number`, one realisation after another."""
+    """The units of the campaign's experiment `number`: realisations, in each the incidences, in each the blocks."""
     goniometer, units = experiment.goniometer, list[Unit]()
-    whole = isinstance(goniometer.detector, Klems)
-    incidences = [None] if whole else list(range(len(goniometer.incidences())))
-    paths = math.ceil(goniometer.paths / goniometer.replicates) * goniometer.replicates
-    paths *= len(goniometer.incidences()) if whole else 1
+    each = math.ceil(goniometer.paths / goniometer.replicates)
     for realisation in range(experiment.realisations):
-        for incidence in incidences:
-            key = key_of(experiment, realisation, incidence)
-            pilot = None
-            if goniometer.target_error is not None and realisation > 0:
-                pilot = name_of(key_of(experiment, 0, incidence))
-            relief = name_of({name: key[name] for name in ("surface", "seed", "realisation", "strips")})
-            units.append(Unit(number, realisation, incidence, name_of(key), relief, paths, pilot))
+        relief = name_of(_relief(experiment, realisation))
+        for place, incidence in enumerate(goniometer.incidences()):
+            for block in _blocks(goniometer):
+                key = key_of(experiment, realisation, incidence, block)
+                pilot = None
+                if block is None and realisation > 0:
+                    pilot = name_of(key_of(experiment, 0, incidence, None))
+                first, end = block or (0, goniometer.replicates)
+                units.append(Unit(number, realisation, place, block, name_of(key), relief, each * (end - first), pilot))
     return units
 
 
-def key_of(experiment: Experiment, realisation: int, incidence: int | None) -> dict[str, Any]:
+def _blocks(goniometer: Goniometer) -> list[tuple[int, int] | None]:
+    """The replicates of an incidence, cut into nearly equal parts."""
+    if goniometer.target_error is not None:
+        return [None]
+    replicates = goniometer.replicates
+    parts = max(1, min(replicates // BLOCK_REPLICATES, math.ceil(goniometer.paths / BLOCK_PATHS)))
+    edges = [replicates * part // parts for part in range(parts + 1)]
+    return list(itertools.pairwise(edges))
+
+
+def key_of(
+    experiment: Experiment, realisation: int, incidence: Incidence, replicates: tuple[int, int] | None
+) -> dict[str, Any]:
     """All that decides the numbers of a unit; files stand for their content, wherever they are."""
     tables = _tables(experiment)
-    goniometer = tables["goniometer"]
-    if incidence is not None:
-        at = experiment.goniometer.incidences()[incidence]
-        goniometer = goniometer | {"theta_i": [at.theta], "phi_i": [at.phi]}
+    goniometer = {name: value for name, value in tables["goniometer"].items() if name not in ("theta_i", "phi_i")}
     return {
         "format": FORMAT,
-        "surface": _by_content(tables["surface"]),
         "material": _by_content(tables["material"]),
-        "goniometer": goniometer,
+        "goniometer": goniometer | {"incidence": [incidence.theta, incidence.phi], "block": replicates},
+        "versions": versions(),
+        **_relief(experiment, realisation),
+    }
+
+
+def _relief(experiment: Experiment, realisation: int) -> dict[str, Any]:
+    """All that decides a specimen's relief, and its seeds."""
+    return {
+        "surface": _by_content(_tables(experiment)["surface"]),
         "seed": experiment.seed,
         "realisation": realisation,
         # The slopes of V-grooves are stratified over all realisations.
         "strips": experiment.realisations if isinstance(experiment.surface, VGrooves) else None,
-        "versions": versions(),
     }
 
 
@@ -145,7 +170,7 @@ class Plan:
                 {
                     "parameters": point,
                     "experiment": experiment.to_dict(),
-                    "paths": units[0].paths,
+                    "paths": [unit.paths for unit in units],
                     "units": [unit.name for unit in units],
                 }
                 for experiment, point, units in zip(
@@ -188,26 +213,21 @@ class Bench:
         Raises `InputError` for a surface that cannot be built, OSError where nothing can be written, MemoryError, and
         KeyboardInterrupt for Ctrl-C, which keeps nothing of this unit.
         """
-        key = key_of(experiment, unit.realisation, unit.incidence)
+        goniometer = experiment.goniometer
+        incidence = goniometer.incidences()[unit.incidence]
+        key = key_of(experiment, unit.realisation, incidence, unit.replicates)
         if name_of(key) != unit.name:
             raise InputError("surface: its file has changed since the campaign was started; start it again.")
-        replicates = None if unit.pilot is None else self._replicates(unit, experiment)
-        goniometer = _narrowed(experiment.goniometer, unit.incidence)
+        replicates = None if unit.replicates is None else range(*unit.replicates)
+        if unit.pilot is not None:
+            replicates = range(self._replicates(unit, experiment))
         scene, seed = self._scene(unit, experiment), experiment.seed_of("light", unit.realisation)
         try:
-            part = goniometer.measure(scene, seed, self.threads, progress, replicates)
+            tally = goniometer.tally(scene, seed, incidence, self.threads, progress, replicates)
         except ValueError as error:
             raise InputError(f"goniometer.{error}") from None
-        if part.interrupted:
-            raise KeyboardInterrupt
-        sums = part.counted
-        note = {
-            "unit": key,
-            "theta_i": sums["theta_i"].values.tolist(),
-            "phi_i": sums["phi_i"].values.tolist(),
-            "attributes": part.attributes | {"instruction_set": instruction_set()},
-        }
-        self.folder.write(unit.name, note, {str(name): sums[name].values for name in sums.data_vars})
+        about = goniometer.provenance(scene, seed) | {"instruction_set": instruction_set()}
+        self.folder.write(unit.name, {"unit": key, "attributes": about}, _packed(tally))
 
     def _scene(self, unit: Unit, experiment: Experiment) -> Scene:
         """The specimen; the relief built last is used again, of another material, too."""
@@ -220,47 +240,60 @@ class Bench:
             scene.material = experiment.material
         return scene
 
-    def _replicates(self, unit: Unit, experiment: Experiment) -> list[int]:
+    def _replicates(self, unit: Unit, experiment: Experiment) -> int:
         """How many replicates the first realisation took; it is measured now if it was not, or is damaged."""
         assert unit.pilot is not None
         if self.folder.has(unit.pilot):
             try:
-                return _counts(self.folder.read(unit.pilot)[1])
+                return int(self.folder.read(unit.pilot)[1]["replicates"])
             except DamagedError:
                 self.folder.set_aside(unit.pilot)
         pilot = next(other for other in units_of(unit.experiment, experiment) if other.name == unit.pilot)
         self.measure(pilot, experiment)
-        return _counts(self.folder.read(unit.pilot)[1])
-
-
-def _counts(arrays: Mapping[str, NDArray[Any]]) -> list[int]:
-    counts: list[int] = arrays["replicates"].ravel().tolist()
-    return counts
-
-
-def _narrowed(goniometer: Goniometer, incidence: int | None) -> Goniometer:
-    """The instrument with one incidence only: random numbers depend on the incidence's values, not on its place."""
-    if incidence is None:
-        return goniometer
-    at = goniometer.incidences()[incidence]
-    return replace(goniometer, theta_i=(at.theta,), phi_i=(at.phi,))
+        return int(self.folder.read(unit.pilot)[1]["replicates"])
 
 
 # --- Units back into a measurement -----------------------------------------------------------------------------------
 
 
+def _packed(tally: Tally) -> dict[str, NDArray[Any]]:
+    """The arrays of a unit's file."""
+    # Without a target all replicates are the pilot's.
+    piloted = {} if tally.replicates <= tally.pilot else {"piloted": tally.piloted}
+    return {
+        "total": tally.total,
+        **piloted,
+        "squares_high": tally.squares.high,
+        "squares_low": tally.squares.low,
+        "hits": tally.hits,
+        "ledger": tally.ledger,
+        "replicates": np.array(tally.replicates),
+    }
+
+
+def unpacked(goniometer: Goniometer, arrays: Mapping[str, NDArray[Any]]) -> Tally:
+    """The tally in a unit's file."""
+    return Tally(
+        goniometer.replicates,
+        math.ceil(goniometer.paths / goniometer.replicates),
+        arrays["total"],
+        arrays.get("piloted", arrays["total"]).copy(),
+        Wide(arrays["squares_high"], arrays["squares_low"]),
+        arrays["hits"],
+        arrays["ledger"],
+        int(arrays["replicates"]),
+    )
+
+
 def joined(experiment: Experiment, units: Sequence[tuple[dict[str, Any], dict[str, NDArray[Any]]]]) -> Measurement:
-    """One realisation from all its units' notes and sums: what `Goniometer.measure` would have returned."""
-    from pydantic import TypeAdapter
-
-    from gonio.goniometer import empty_sums
-
-    sums = empty_sums(experiment.goniometer)
-    for note, arrays in units:
-        rows = np.searchsorted(sums["theta_i"].values, note["theta_i"])
-        columns = np.searchsorted(sums["phi_i"].values, note["phi_i"])
-        for name, array in arrays.items():
-            sums[name].values[np.ix_(rows, columns)] = array
-    attributes = dict(units[0][0]["attributes"])
-    attributes["goniometer"] = TypeAdapter(Goniometer).dump_json(experiment.goniometer).decode()
-    return Measurement(sums, attributes)
+    """One realisation from all its units' notes and arrays, in their order: as `Goniometer.measure` gives it."""
+    goniometer = experiment.goniometer
+    sums, blocks = empty_sums(goniometer), len(_blocks(goniometer))
+    for place, incidence in enumerate(goniometer.incidences()):
+        tally, *others = (unpacked(goniometer, arrays) for _, arrays in units[place * blocks : (place + 1) * blocks])
+        for other in others:
+            tally.merge(other)
+        enter(tally, sums, (incidence.row, incidence.column))
+    # Units are shared by experiments with other incidences: the recipe is this one's.
+    recipe = {"goniometer": TypeAdapter(Goniometer).dump_json(goniometer).decode()}
+    return Measurement(sums, units[0][0]["attributes"] | recipe)

@@ -1,4 +1,4 @@
-"""`gonio campaign run | status | verify | merge`: many measurements in one folder."""
+"""`gonio campaign run | status | verify | merge | publish`: many measurements in one folder."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,11 +24,15 @@ from gonio.cli.terminal import (
     rays_per_second,
     reason,
     say,
+    show_table,
     working,
 )
 
 if TYPE_CHECKING:
-    pass
+    from rich.table import Table
+
+    from gonio.campaign.planning import Forecast
+    from gonio.campaign.results import Merged
 
 
 campaigns = App(name="campaign", help="Data sets of many measurements that survive anything: run, continue, merge.")
@@ -46,6 +50,7 @@ def campaign_run(
     workers: int = 0,
     shard: str = "1/1",
     threads: int | None = None,
+    scheduler: str | None = None,
     output: Output = None,
     quiet: Annotated[bool, Parameter(negative="", show_default=False)] = False,
 ) -> None:
@@ -55,10 +60,16 @@ def campaign_run(
     measured. The same command continues after Ctrl-C, a crash or a full disk.
     Several runs may share a folder; results are the same to the last bit.
 
+    With goniometer.target_error, for all experiments or swept, each incidence
+    takes as many paths as the scatter of its first ones asks for, once: however
+    often the run is stopped and continued, and shared among processes, shards
+    and machines, paths and error bars are the same. docs/cluster.md tells about
+    clusters.
+
     Parameters
     ----------
     file
-        The campaign, a TOML file such as those in configs/campaigns/.
+        The campaign, a TOML file such as configs/roughness_and_metal.toml.
     overrides
         Put a value in place of the base experiment's: --set goniometer.paths=10000
     workers
@@ -67,19 +78,21 @@ def campaign_run(
         Compute the i-th of n parts only, i/n, for the jobs of an array: --shard 2/7
     threads
         Threads to use, of each worker if there are any.
+    scheduler
+        Address of a Dask scheduler, whose workers compute: tcp://HOST:PORT
     output
         Folder of the campaign; out/NAME if not given, where NAME.toml is the file.
     quiet
         Print nothing but errors.
     """
-    from gonio.campaign.engine import State
+    from gonio.campaign.engine import ClusterError, State
     from gonio.campaign.engine import run as run_campaign
     from gonio.campaign.sweep import Campaign
     from gonio.experiment import InputError
 
-    for name, number, least in (("workers", workers, 0), ("threads", threads, 1)):
-        if number is not None and number < least:
-            raise InputError(f"--{name} {number}: must be {least} or more.")
+    _check_numbers(workers=(workers, 0), threads=(threads, 1))
+    if scheduler is not None and (workers or threads):
+        raise InputError("--scheduler: its workers have threads of their own, leave --workers and --threads out.")
     part = _shard(shard)
     campaign, folder = Campaign.read(file, overrides), output or Path("out") / file.stem
     check_writable(folder)
@@ -91,18 +104,23 @@ def campaign_run(
             show(state)
 
         try:
-            state = run_campaign(campaign, folder, workers=workers, shard=part, threads=threads, report=report)
+            state = run_campaign(
+                campaign, folder, workers=workers, shard=part, threads=threads, scheduler=scheduler, report=report
+            )
         except KeyboardInterrupt:
             done = f"{latest[0].kept + latest[0].computed} of {latest[0].units}" if latest else "finished"
             raise RunError(f"Interrupted: {done} units are kept in {folder}; the same command continues.") from None
+        except ClusterError as error:
+            raise RunError(f"{error}: finished units are kept in {folder}; the same command continues.") from None
         except OSError as error:
             raise RunError(
                 f"{folder} cannot be written ({reason(error)}): finished units are kept, the same command continues."
             ) from None
+    complain(0, *state.refused)
     if state.changed:
         complain(0, f"{folder} held another campaign: of its units those that this one asks for were kept.")
     if state.deaths:
-        complain(0, f"{state.deaths} workers died and were replaced.")
+        complain(0, f"Workers died {state.deaths} times; their units were computed again.")
     if state.failures:
         complain(0, *state.failures[:20])
         raise RunError(f"{len(state.failures)} of {state.units} units could not be computed; the others are kept.")
@@ -111,6 +129,15 @@ def campaign_run(
             f"{state.units} units: {state.kept} were there, {state.computed} computed in "
             f"{time.monotonic() - started:.1f} s. Put them together with: gonio campaign merge {folder}"
         )
+
+
+def _check_numbers(**numbers: tuple[int | None, int]) -> None:
+    """Raise `InputError` for an option that is below its least value; None is not given."""
+    from gonio.experiment import InputError
+
+    for name, (number, least) in numbers.items():
+        if number is not None and number < least:
+            raise InputError(f"--{name} {number}: must be {least} or more.")
 
 
 def _shard(text: str) -> tuple[int, int]:
@@ -130,7 +157,10 @@ def _campaign_progress(quiet: bool) -> Iterator[Callable[[Any], None]]:
 
     def words(state: Any) -> str:
         rate = state.rays / max(time.monotonic() - started, 1e-3)
-        return f"{state.kept + state.computed} of {state.units} units, {rays_per_second(rate)}"
+        found = f"{state.kept + state.computed} of {state.units} units, {rays_per_second(rate)}"
+        if state.workers is None:
+            return found
+        return f"{found}, {state.workers} workers" if state.workers else "waiting for workers"
 
     def line(state: Any) -> None:
         nonlocal last
@@ -157,9 +187,135 @@ def _campaign_progress(quiet: bool) -> Iterator[Callable[[Any], None]]:
 
 def _duration(seconds: float) -> str:
     """A time that people can read: 40 s, 12 min, 3.4 h."""
-    if seconds < 100:
+    if seconds < 300:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+@campaigns.command(name="plan")
+def campaign_plan(
+    file: Path,
+    /,
+    *,
+    overrides: Overrides = (),
+    pilot: int | None = None,
+    workers: int = 0,
+    threads: int | None = None,
+) -> None:
+    """Tell how long a campaign will take, how much disk, and how exact it will be, before it is run.
+
+    A pilot is measured: up to 16 of its units that differ as much as they can,
+    each with few paths. What it took is interpolated between them. Give a target
+    to learn how many paths it takes: --set goniometer.target_error=0.02
+
+    Parameters
+    ----------
+    file
+        The campaign, a TOML file such as configs/roughness_and_metal.toml.
+    overrides
+        Put a value in place of the base experiment's: --set goniometer.paths=10000
+    pilot
+        Paths of each of the pilot's units; as many as can be timed if not given.
+    workers
+        Processes that will share the cores of this machine, as in gonio campaign run.
+    threads
+        Threads of each.
+    """
+    from gonio.campaign.planning import plan
+    from gonio.campaign.sweep import Campaign
+
+    _check_numbers(pilot=(pilot, 1), workers=(workers, 0), threads=(threads, 1))
+    campaign = Campaign.read(file, overrides)
+    try:
+        with _steps("measuring a pilot") as show:
+            forecast = plan(campaign, workers=workers, threads=threads, pilot=pilot, progress=show)
+    except OSError as error:
+        raise RunError(f"The pilot's temporary folder cannot be written ({reason(error)}): set TMPDIR.") from None
+    targets = sorted({e.goniometer.target_error for e in campaign.experiments if e.goniometer.target_error})
+    show_table(f"Forecast for {campaign.title or file}", _forecast_table(forecast))
+    for sentence in _forecast_sentences(forecast, targets):
+        say(sentence)
+
+
+def _forecast_table(forecast: Forecast) -> Table:
+    """What a campaign will take, a row for each quantity."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_header=False, pad_edge=False)
+    paths = f"{forecast.paths:,}"
+    if forecast.paths_needed > forecast.paths:
+        paths = f"{_rounded(forecast.paths_needed)} for the target, beyond {paths}"
+    processes = f"{forecast.workers} worker{'s' * (forecast.workers > 1)}"
+    rows = {
+        "experiments": f"{forecast.experiments:,}",
+        "units of work": f"{forecast.units:,}, on {forecast.reliefs:,} surfaces",
+        "paths": paths,
+        "time": f"{_duration(forecast.seconds)} with {processes} of {forecast.threads} threads",
+        "work": f"{forecast.work * forecast.threads / 3600:.3g} core hours",
+        "units on disk": _bytes(forecast.units_bytes),
+        "merged on disk": _bytes(forecast.merged_bytes),
+        "memory": "unknown" if forecast.memory is None else _bytes(forecast.memory),
+        "error of a bin": "{:.2%} (median of the experiments), {:.2%} (the worst)".format(*forecast.bin_error),
+        "error of the albedo": "{:.2g}% (median), {:.2g}% (the worst)".format(
+            *(100 * e for e in forecast.albedo_error)
+        ),
+    }
+    for row in rows.items():
+        table.add_row(*row)
+    return table
+
+
+def _forecast_sentences(forecast: Forecast, targets: Sequence[float]) -> Iterator[str]:
+    """What the numbers of a forecast mean."""
+    traced = [pilot.paths for pilot in forecast.pilots]
+    yield (
+        f"Measured: {len(traced)} of {forecast.units} units, with {min(traced):,} to {max(traced):,} paths each; all "
+        "others are interpolated."
+    )
+    yield (
+        "Errors are relative standard errors of Monte Carlo in one specimen, at the worst incidence of an experiment: "
+        "half of its light leaves through bins with a smaller one. Several specimens make them smaller; how far "
+        "specimens differ no pilot of one can tell."
+    )
+    if targets:
+        wanted = f"{targets[0]:.3g}" if len(targets) == 1 else f"{targets[0]:.3g} to {targets[-1]:.3g}"
+        yield (
+            f"target_error = {wanted} takes {forecast.paths_needed / forecast.paths:.3g} times the paths that "
+            "goniometer.paths asks for."
+        )
+    if forecast.beyond:
+        yield (
+            f"In {forecast.beyond} experiments the target needs more paths than can be summed exactly: ask for a "
+            "larger target_error, or for wider bins."
+        )
+
+
+def _rounded(count: int) -> str:
+    """A large number that is an estimate."""
+    return f"{float(f'{count:.3g}'):,.0f}"
+
+
+def _bytes(size: int) -> str:
+    """A size that people can read: 40 kB, 1.3 GB."""
+    for unit, scale in (("GB", 1e9), ("MB", 1e6)):
+        if size >= 0.95 * scale:
+            return f"{size / scale:.3g} {unit}"
+    return f"{size / 1e3:.3g} kB"
+
+
+@contextlib.contextmanager
+def _steps(words: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar on a terminal for so many steps; nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    columns = (TextColumn(words), BarColumn(None), MofNCompleteColumn())
+    with Progress(*columns, console=Console(stderr=True), expand=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @campaigns.command(name="status")
@@ -171,15 +327,18 @@ def campaign_status(folder: Path, /) -> None:
     folder
         The campaign's folder.
     """
+    from gonio.campaign.engine import seconds_left
     from gonio.campaign.folder import Folder, status
 
     found = status(Folder(folder))
+    left = seconds_left(Folder(folder)) if found.runs else None
     if found.title:
         say(found.title, style="bold")
     share = found.paths_finished / found.paths
     say(
         f"{found.units_finished} of {found.units} units are finished, {share:.0%} of the paths; "
-        f"{found.experiments_finished} of {found.experiments} experiments are complete."
+        f"{found.experiments_finished} of {found.experiments} experiments are complete"
+        f"{'' if left is None else f', about {_duration(left)} are left'}."
     )
     for run, units in found.runs.items():
         say(f"{run}: {units} unit{'s' * (units > 1)} under way.")
@@ -230,8 +389,83 @@ def campaign_merge(folder: Path, /) -> None:
             "may not be those of a single machine.",
         )
     say(f"{len(merged.files)} measurements and index.csv in {folder / 'measurements'}{os.sep}")
+    _advise(merged)
     if merged.incomplete:
         raise RunError(
             f"{merged.incomplete} of {merged.incomplete + len(merged.files)} experiments lack units: run the campaign "
             "again."
         )
+
+
+def _advise(merged: Merged) -> None:
+    """How uncertain a campaign's measurements are, which is the worst, and what would help."""
+    from gonio.noise import Noises
+
+    found = merged.noises
+    if not found:
+        return
+    worst = max(found, key=lambda number: found[number].bins.total)
+    if len(found) > 1:
+        say(f"All {len(found)} experiments together:", style="bold")
+        for sentence in Noises.together(list(found.values())).sentences():
+            say(sentence)
+    say(f"Experiment {worst + 1}, the least certain:" if len(found) > 1 else "The experiment:", style="bold")
+    for sentence in found[worst].sentences():
+        say(sentence)
+
+
+@campaigns.command(name="publish")
+def campaign_publish(
+    folder: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    creator: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)],
+    licence: Annotated[str, Parameter(name=["--licence", "--license"])],
+    title: str | None = None,
+    description: str = "",
+    single: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+) -> None:
+    """Make a data set of a finished campaign, ready for an archive that gives it a DOI.
+
+    Writes a new folder: measurements/*.nc with licence and creators in each,
+    index.csv, thumbnails, README.md, datacite.json for the DOI, and SHA256SUMS.
+    gonio.open_campaign(FOLDER) opens it as one xarray.Dataset.
+
+    Parameters
+    ----------
+    folder
+        The campaign's folder.
+    output
+        The data set's folder, which must not exist yet.
+    creator
+        Who made it, "Family, Given", as often as needed.
+    licence
+        What others may do with it, an SPDX identifier: CC0-1.0, CC-BY-4.0, ...
+    title
+        The data set's title; the campaign's if not given.
+    description
+        A paragraph for the README and the DOI.
+    single
+        Write one file, campaign.nc, instead of one for each measurement.
+    """
+    from gonio.campaign.publication import About, publish
+    from gonio.experiment import InputError
+
+    heading = title or _title_of(folder)
+    if not heading:
+        raise InputError("--title: the campaign has none; say what the data set is called.")
+    for name, text in (("licence", licence), *(("creator", one) for one in creator)):
+        if not text.strip():
+            raise InputError(f"--{name} is empty: a data set without one cannot be used by others.")
+    try:
+        with working(f"writing {output}"):
+            print(publish(folder, output, About(heading, creator, licence, description), single))
+    except OSError as error:
+        raise RunError(f"{output} cannot be written ({reason(error)}): nothing was published.") from None
+
+
+def _title_of(folder: Path) -> str:
+    from gonio.campaign.folder import Folder
+
+    return str(Folder(folder).manifest()["title"])

@@ -179,14 +179,18 @@ def _can_write_pages() -> bool:
 
 
 def _report(measurement: Measurement, verdicts: Sequence[Verdict], meter: Meter, seconds: float) -> None:
-    """What was measured, in two tables, and how well the models do."""
+    """What was measured, in two tables, how sure it is, and how well the models do."""
     from gonio import tables
+    from gonio.noise import noises
 
     show_table("Albedo, the share of the light that comes back, ± standard error", tables.albedo(measurement))
     show_table("Orders of scattering in the reflected light, and what did not come back", tables.energy(measurement))
     paths = int(measurement.dataset["paths"].sum())
     say(f"{paths / 1e6:.3g} M paths in {seconds:.1f} s; while tracing, {rays_per_second(meter.rate)}.")
-    if not verdicts and int(measurement.dataset["realisations"].max()) == 1:
+    if int(measurement.dataset["realisations"].max()) > 1:
+        for sentence in noises(measurement).sentences():
+            say(sentence)
+    elif not verdicts:
         say("One specimen was measured: the errors are its Monte Carlo noise, other specimens may differ by more.")
     show_verdicts(verdicts)
 
