@@ -1,4 +1,4 @@
-"""The albedo atlas beside Smith's models, as a table: `python docs/atlas_table.py out/albedo_atlas` renews the README's.
+"""The albedo atlas beside Smith's models: `python docs/atlas_table.py out/albedo_atlas` renews the README's table.
 
 Single scattering is Microfacet with Smith's height-correlated masking, more is SmithMultipleScattering; both with
 Beckmann's distribution of the nominal alpha. Standard errors of all are in the table.
@@ -19,6 +19,10 @@ from gonio.sphere import direction
 README = Path(__file__).parents[1] / "README.md"
 START, END = "<!-- docs/atlas_table.py -->\n", "<!-- end -->"
 ALPHAS, THETAS = (0.1, 0.3, 0.5, 0.7, 1.0), (0.0, 45.0, 75.0, 85.0)
+HEAD = (
+    "alpha", "light", "lossless: 1 hit", "Smith", "2 hits", "Smith", "3 and more", "Smith",
+    "gold: all", "Smith", "Smith, 1 hit",
+)  # fmt: skip
 RED = 650.0
 WALKS = 1_000_000
 
@@ -26,8 +30,8 @@ WALKS = 1_000_000
 def table(atlas: xr.Dataset) -> str:
     """Rows of roughness and incidence; measured values with the standard error of their last digits."""
     lines = [
-        "| alpha | light | 1 hit | Smith | 2 hits | Smith | 3 and more | Smith | gold, 650 nm | Smith | 1 hit only |",
-        f"|{' --- |' * 11}",
+        f"| {' | '.join(HEAD)} |",
+        f"|{' --- |' * len(HEAD)}",
     ]
     for alpha in ALPHAS:
         for theta in THETAS:

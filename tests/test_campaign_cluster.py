@@ -177,6 +177,7 @@ def test_ctrl_c_stops_the_units_under_way_and_keeps_what_is_finished(pair: Clust
     assert not list((tmp_path / "c/claims").iterdir())
     small = Campaign.of([KINDS["V-grooves"]])
     assert engine.run(small, tmp_path / "next", scheduler=pair.address).failures == []
+    assert Folder(tmp_path / "c").finished() == set()
 
 
 def test_a_unit_that_cannot_be_computed_stops_no_other(pair: Cluster, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import pickle
 import re
 from pathlib import Path
 
@@ -9,23 +10,37 @@ import numpy as np
 import pytest
 
 from gonio.validate import CASES, LEVEL, Case, _bound, _chi2, _pooled, _rows, _t, markdown, run, summary, unfolded
+from microsurfaces.files import replacing
 
 ROOT = Path(__file__).parents[1]
 
 
-@functools.cache
-def quick(name):
-    return run(True, (name,))
+@pytest.fixture(scope="session")
+def quick(tmp_path_factory, worker_id):
+    """The rows of a case, measured once; processes that run tests side by side share them."""
+    home = tmp_path_factory.getbasetemp()
+    home = (home if worker_id == "master" else home.parent) / "validated"
+    home.mkdir(exist_ok=True)
+
+    @functools.cache
+    def rows(name):
+        path = home / f"{name}.pickle"
+        if not path.exists():
+            with replacing(path) as scratch:
+                scratch.write_bytes(pickle.dumps(run(True, (name,))))
+        return pickle.loads(path.read_bytes())
+
+    return rows
 
 
 @pytest.mark.parametrize("name", [case.name for case in CASES])
-def test_the_ground_truth_holds(name):
+def test_the_ground_truth_holds(name, quick):
     wrong = [row for row in quick(name) if row.verdict == "FAILS"]
     assert not wrong, "\n".join(f"{row.quantity}: {row.measured:.6g} for {row.exact:.6g}" for row in wrong)
     assert all(math.isfinite(row.measured) and row.settings for row in quick(name))
 
 
-def test_wrong_forms_are_rejected():
+def test_wrong_forms_are_rejected(quick):
     """Normalisations, proportions of grooves, and V-cavities for a Gaussian surface."""
     rejected = [row for case in CASES for row in quick(case.name) if row.verdict == "rejected as it should be"]
     words = " ".join(row.quantity for row in rejected)
@@ -33,7 +48,7 @@ def test_wrong_forms_are_rejected():
         assert form in words
 
 
-def test_the_readme_tells_the_outcome():
+def test_the_readme_tells_the_outcome(quick):
     """Rows, settings and verdicts; numbers may differ in their last digits from one processor to another."""
     rows = tuple(row for case in CASES for row in quick(case.name))
     text = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -137,7 +152,7 @@ def test_unfolding_counts_the_walls_that_a_ray_meets(angle, psi):
         assert unfolded(slope, psi, count) == pytest.approx((hits == count).mean(), abs=2e-3)
 
 
-def test_the_document_has_every_row():
+def test_the_document_has_every_row(quick):
     rows = quick("numbers of hits")
     text = markdown(rows)
     assert all(row.quantity in text for row in rows)

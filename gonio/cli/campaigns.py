@@ -127,8 +127,9 @@ def campaign_run(
     if not quiet:
         say(
             f"{state.units} units: {state.kept} were there, {state.computed} computed in "
-            f"{time.monotonic() - started:.1f} s. Put them together with: gonio campaign merge {folder}"
+            f"{time.monotonic() - started:.1f} s. To put them together:"
         )
+        print(f"gonio campaign merge {folder}")
 
 
 def _check_numbers(**numbers: tuple[int | None, int]) -> None:
@@ -247,11 +248,12 @@ def _forecast_table(forecast: Forecast) -> Table:
     if forecast.paths_needed > forecast.paths:
         paths = f"{_rounded(forecast.paths_needed)} for the target, beyond {paths}"
     processes = f"{forecast.workers} worker{'s' * (forecast.workers > 1)}"
+    threads = f"{forecast.threads} thread{'s' * (forecast.threads > 1)}"
     rows = {
         "experiments": f"{forecast.experiments:,}",
         "units of work": f"{forecast.units:,}, on {forecast.reliefs:,} surfaces",
         "paths": paths,
-        "time": f"{_duration(forecast.seconds)} with {processes} of {forecast.threads} threads",
+        "time": f"{_duration(forecast.seconds)} with {processes} of {threads}",
         "work": f"{forecast.work * forecast.threads / 3600:.3g} core hours",
         "units on disk": _bytes(forecast.units_bytes),
         "merged on disk": _bytes(forecast.merged_bytes),
