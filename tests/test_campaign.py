@@ -262,6 +262,12 @@ def test_a_mistake_is_one_sentence_with_its_key(tmp_path: Path, text: str, words
     assert len(error.value.sentences) == 1
 
 
+def test_an_experiment_is_told_from_a_campaign() -> None:
+    path = Path(__file__).parents[1] / "configs/flat_mirror.toml"
+    with pytest.raises(InputError, match=r'is an experiment: gonio run .* base = "flat_mirror\.toml"'):
+        Campaign.read(path)
+
+
 # --- The same bytes always -------------------------------------------------------------------------------------------
 
 

@@ -73,6 +73,8 @@ class Campaign:
 
 def _base(table: Mapping[str, Any], path: Path) -> dict[str, Any]:
     """The tables of the experiment that is varied, paths absolute."""
+    if "surface" in table:
+        raise InputError(f'{path} is an experiment: gonio run {path}, or name it in a campaign as base = "{path.name}"')
     known = ("title", "base", "experiment", "sweep")
     mistakes = [f"{key}: a campaign has no such key{did_you_mean(key, known)}." for key in table if key not in known]
     if ("base" in table) == ("experiment" in table):

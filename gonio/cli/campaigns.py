@@ -35,7 +35,11 @@ if TYPE_CHECKING:
     from gonio.campaign.results import Merged
 
 
-campaigns = App(name="campaign", help="Data sets of many measurements that survive anything: run, continue, merge.")
+campaigns = App(
+    name="campaign",
+    help="Data sets of many measurements that survive anything: run, continue, merge.",
+    help_epilogue="Start with: gonio campaign run configs/roughness_and_metal.toml",
+)
 
 
 app.command(campaigns)
