@@ -80,19 +80,19 @@ def test_without_noise_the_parameters_come_back(truth, start):
 
 
 def test_intervals_cover():
-    """In 60 repeats t-scores of known parameters are as they should be, noise of two wavelengths being one."""
+    """In 30 repeats t-scores of known parameters are as they should be, noise of two wavelengths being one."""
     truth = Microfacet(distribution=Beckmann(0.35), masking=SmithCorrelated(), material=Dielectric(eta=1.5))
     exact = {"distribution.alpha": 0.35, "material.eta": 1.5}
     scores = {name: [] for name in exact}
     inside = 0
-    for seed in range(60):
+    for seed in range(30):
         measurement = poisson(seed, 40_000 / 0.05, truth, (20.0, 60.0), (450.0, 650.0), WIDE)
         for p in fit(measurement, truth, free=exact).parameters:
             scores[p.name].append((p.value - exact[p.name]) / p.standard_error)
             inside += p.interval[0] <= exact[p.name] <= p.interval[1]
     for values in scores.values():
         assert_covers(np.array(values), 200)
-    assert 0.88 <= inside / 120 <= 1.0
+    assert 0.88 <= inside / 60 <= 1.0
 
 
 def test_a_wrong_model_knows_its_parameters_less_well():
@@ -154,13 +154,13 @@ def test_the_truth_is_ranked_first():
 def test_a_useless_parameter_costs():
     """The same lobe with one more parameter: about two units of the criterion worse, on average over noise."""
     differences = []
-    for seed in range(12):
+    for seed in range(8):
         measurement = poisson(seed, 20_000, smith(0.3), detector=WIDE)
         axes = ["distribution.alpha_x", "distribution.alpha_y"]
         plain, more = (fit(measurement, smith(0.3), free) for free in (["distribution.alpha"], axes))
         differences.append({len(f.parameters): d for f, d, _ in rank([plain, more])})
     gain = np.mean([d[2] - d[1] for d in differences])
-    assert -0.5 < gain < 3.0  # 2 - chi2 of one degree of freedom: 1 +- 0.4
+    assert -0.5 < gain < 3.0  # 2 - chi2 of one degree of freedom: 1 +- 0.5
 
 
 def test_two_names_of_one_model_are_not_told_apart():

@@ -71,14 +71,14 @@ def score(measurement, order, place, exact):
 
 @pytest.mark.parametrize("target_error", [None, 0.1], ids=("paths", "target_error"))
 def test_error_bars_cover_the_truth(target_error):
-    """2,000 small measurements of three cases whose exact value is known: their t-scores are Student's t."""
+    """1,000 small measurements of three cases whose exact value is known: their t-scores are Student's t."""
     scores = []
     for case in CASES.values():
         goniometer, scene, (order, place), exact = case()
         if target_error is not None:
             settings = {name: getattr(goniometer, name) for name in ("theta_i", "beam_half_angle", "wavelengths")}
             goniometer = Goniometer(**settings, detector=GRID, paths=1024, target_error=target_error)
-        runs = (goniometer.measure(scene, seed=seed, threads=1) for seed in range(667))
+        runs = (goniometer.measure(scene, seed=seed, threads=1) for seed in range(334))
         scores.append([score(run, order, place, exact) for run in runs])
     assert_covers(np.array(scores), 15)
 
