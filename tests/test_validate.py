@@ -40,9 +40,15 @@ def test_the_ground_truth_holds(name, quick):
     assert all(math.isfinite(row.measured) and row.settings for row in quick(name))
 
 
+def all_rows(quick):
+    """Those of all cases, the last one measured first: another process may be going through them from the front."""
+    found = {case.name: quick(case.name) for case in reversed(CASES)}
+    return tuple(row for case in CASES for row in found[case.name])
+
+
 def test_wrong_forms_are_rejected(quick):
     """Normalisations, proportions of grooves, and V-cavities for a Gaussian surface."""
-    rejected = [row for case in CASES for row in quick(case.name) if row.verdict == "rejected as it should be"]
+    rejected = [row for row in all_rows(quick) if row.verdict == "rejected as it should be"]
     words = " ".join(row.quantity for row in rejected)
     for form in ("printed_1982", "half", "pi_for_four", "four_for_pi", "true facet area", "equal depth", "V-cavity"):
         assert form in words
@@ -50,7 +56,7 @@ def test_wrong_forms_are_rejected(quick):
 
 def test_the_readme_tells_the_outcome(quick):
     """Rows, settings and verdicts; numbers may differ in their last digits from one processor to another."""
-    rows = tuple(row for case in CASES for row in quick(case.name))
+    rows = all_rows(quick)
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     told = re.search(r"<!-- gonio validate --quick -->\n(.*?)<!-- end -->", text, flags=re.S)
     assert told is not None
