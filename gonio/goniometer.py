@@ -210,10 +210,16 @@ class Incidence(NamedTuple):
 
 def _wanted(tally: Tally, target: float) -> int:
     """How many replicates bring the median relative error of the reflected light down to `target`."""
+    return max(tally.pilot, math.ceil(tally.pilot * (median_error(tally) / target) ** 2))
+
+
+def median_error(tally: Tally) -> float:
+    """The relative error that half of the light's bins stay below, at the worst wavelength, as the pilot tells it."""
+    count = min(tally.pilot, tally.replicates)
     light = tally.piloted[0, :-1].astype(np.float64)
-    error = np.sqrt(tally.scatter().floats()[0, :-1] / (tally.pilot - 1)) / np.maximum(light, 1.0)
-    median = max(_weighted_median(error[:, w], light[:, w]) for w in range(light.shape[1]))
-    return max(tally.pilot, math.ceil(tally.pilot * (median / target) ** 2))
+    scatter = tally.squares.scatter(tally.piloted, count).floats()[0, :-1]
+    error = np.sqrt(scatter / (count - 1)) / np.maximum(light, 1.0)
+    return max(_weighted_median(error[:, w], light[:, w]) for w in range(light.shape[1]))
 
 
 def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:

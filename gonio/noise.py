@@ -38,6 +38,8 @@ def variances(measurement: Measurement) -> xr.Dataset:
 
     Raises ValueError for fewer than two realisations, which cannot tell the noises apart.
     """
+    import xarray as xr
+
     data = measurement.dataset
     if "realisations" not in data or int(data["realisations"].max()) < 2:
         raise ValueError("one specimen cannot tell its two noises apart: measure with realisations = 4 or more")
@@ -45,8 +47,6 @@ def variances(measurement: Measurement) -> xr.Dataset:
     for name, error in (("brdf", "standard_error"), ("albedo", "albedo_standard_error")):
         result[f"{name}_monte_carlo"] = data[f"{error}_mc"] ** 2
         result[f"{name}_specimens"] = data[error] ** 2 - result[f"{name}_monte_carlo"]
-    import xarray as xr
-
     return xr.Dataset({name: part.assign_attrs(long_name=_LONG_NAMES[name]) for name, part in result.items()})
 
 
@@ -70,6 +70,11 @@ class Noise:
     """Its part that only more or larger specimens reduce."""
 
     @property
+    def known(self) -> bool:
+        """Whether there was light enough to tell."""
+        return not math.isnan(self.monte_carlo)
+
+    @property
     def total(self) -> float:
         """Both together."""
         return math.hypot(self.monte_carlo, self.specimens)
@@ -80,9 +85,9 @@ class Noise:
 
     @classmethod
     def together(cls, noises: Sequence[Noise]) -> Noise:
-        """The root mean square of several."""
-        parts = np.array([(noise.monte_carlo, noise.specimens) for noise in noises])
-        return cls(*np.sqrt(np.mean(parts**2, axis=0)).tolist())
+        """The root mean square of those that are known."""
+        parts = np.array([(noise.monte_carlo, noise.specimens) for noise in noises if noise.known])
+        return cls(*np.sqrt(np.mean(parts**2, axis=0)).tolist()) if parts.size else cls(math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,8 @@ class Noises:
 
     def sentences(self) -> list[str]:
         """How uncertain it is, and what would help, with numbers."""
+        if not self.bins.known:
+            return [f"No bin received {FEWEST} hits, too few to tell how uncertain bins are: trace more paths."]
         return [self._told("bins", self.bins), self._told("albedos", self.albedo), self._advice()]
 
     def _told(self, what: str, noise: Noise) -> str:
@@ -136,8 +143,9 @@ def noises(measurement: Measurement) -> Noises:
 
 
 def _rooted(monte_carlo: float, specimens: float) -> Noise:
-    """Relative errors from their mean squares; what is not there at all may come out negative."""
-    return Noise(math.sqrt(max(monte_carlo, 0.0)), math.sqrt(max(specimens, 0.0)))
+    """Relative errors from their mean squares; what is not there at all may come out negative, and NaN is kept."""
+    squares = monte_carlo, specimens
+    return Noise(*(square if math.isnan(square) else math.sqrt(max(square, 0.0)) for square in squares))
 
 
 def _percent(share: float) -> str:

@@ -47,10 +47,10 @@ def injected(realisations, light, specimens, tilt=0.0, seed=0):
 
 
 @functools.cache
-def blank(goniometer):
-    """A measurement whose sums are to be replaced."""
-    scene = Scene(ms.Flat().build(seed=0), gonio.Mirror())
-    return replace(goniometer, paths=32).measure(scene, seed=0)
+def blank(goniometer, seed=0):
+    """A measurement of hardly any light."""
+    scene = Scene(ms.Flat().build(seed=0), gonio.Lambertian(0.5))
+    return replace(goniometer, paths=32).measure(scene, seed=seed)
 
 
 @pytest.mark.parametrize(("light", "specimens"), [(0.02, 0.05), (0.05, 0.02), (0.03, 0.0), (0.0, 0.04)])
@@ -142,3 +142,13 @@ def test_more_specimens_of_a_real_surface_bring_what_was_foretold():
 def test_one_specimen_says_what_to_do():
     with pytest.raises(ValueError, match="realisations = 4"):
         variances(injected(1, 0.02, 0.02))
+
+
+def test_too_few_hits_are_told_and_take_no_part():
+    goniometer = Goniometer(theta_i=(0,), paths=16, detector=GRID)
+    dim = noises(blank(goniometer, 1).merge(blank(goniometer, 2)))
+    assert not dim.bins.known
+    assert dim.sentences() == ["No bin received 10 hits, too few to tell how uncertain bins are: trace more paths."]
+    lit = Noises(Noise(0.03, 0.01), Noise(0.01, 0.02), 2)
+    assert Noises.together([dim, lit, lit]).bins == Noise(pytest.approx(0.03), pytest.approx(0.01))
+    assert not Noises.together([dim, dim]).bins.known

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from gonio.campaign.folder import Folder, measurement_file
+from gonio.campaign.folder import Folder, keys_of, measurement_file
 from gonio.experiment import InputError
 
 SINGLE = "campaign.nc"
@@ -85,7 +85,7 @@ class Layout:
     def of(cls, points: Sequence[Mapping[str, Any]]) -> Layout:
         """A dimension for every parameter if all their values were crossed, else one of all experiments."""
         keys, along = list[str](), dict[str, str]()
-        columns = {key: [json.dumps(point.get(key)) for point in points] for key in _keys(points)}
+        columns = {key: [json.dumps(point.get(key)) for point in points] for key in keys_of(points)}
         for key, column in columns.items():
             leader = next((other for other in keys if _settles(columns[other], column)), None)
             if leader:
@@ -110,7 +110,7 @@ class Layout:
     def coordinates(self) -> dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]]:
         """(dimensions, values, attributes) of every parameter, and of the experiments' numbers, from 1."""
         found = {"experiment": (self.dims, self.places + 1, {"long_name": "number of the experiment in index.csv"})}
-        for key in _keys(self.points):
+        for key in keys_of(self.points):
             leader = key if key in self.keys else self.along.get(key)
             dims, numbers = self.dims, self.places
             if leader is not None:
@@ -122,10 +122,6 @@ class Layout:
             )
             found[variable_name(key)] = (dims, values, {"long_name": key})
         return found
-
-
-def _keys(points: Sequence[Mapping[str, Any]]) -> list[str]:
-    return list(dict.fromkeys(key for point in points for key in point))
 
 
 def _settles(leader: Sequence[str], column: Sequence[str]) -> bool:

@@ -164,6 +164,11 @@ def paths_of(manifest: Mapping[str, Any]) -> dict[str, int]:
     return {unit: paths for entry in entries for unit, paths in zip(entry["units"], entry["paths"], strict=True)}
 
 
+def keys_of(points: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The swept parameters: all keys of all experiments' `parameters`."""
+    return list(dict.fromkeys(key for point in points for key in point))
+
+
 def pack(note: Mapping[str, Any], arrays: Arrays) -> bytes:
     """A .npz file of arrays, with the note (JSON) and a checksum of everything; the same bytes for the same content."""
     text = json.dumps(note)

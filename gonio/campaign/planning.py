@@ -25,6 +25,7 @@ from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Bench, Plan, Unit, units_of, unpacked
 from gonio.detectors import Klems
 from gonio.experiment import Experiment, InputError
+from gonio.goniometer import median_error
 from gonio.tally import MAX_PATHS, Tally
 
 PILOTS = 16
@@ -369,7 +370,7 @@ class _Trial:
         if more[0] > less[0]:
             per_path = max(more[1] - less[1], 0.0) / (paths * (1 - less[0] / more[0]))
             growth = max(sizes[1] - sizes[0], 0) / math.log(more[0] / less[0])
-        bins, albedo = (error * math.sqrt(paths) for error in _errors(tally))
+        bins, albedo = (error * math.sqrt(paths) for error in (median_error(tally), _albedo_error(tally)))
         return Sample(
             unit, paths, build, max(more[1] - per_path * paths, 0.0), per_path,
             sizes[1] - growth * math.log(paths), growth, bins, albedo,
@@ -407,15 +408,7 @@ class _Trial:
             raise RuntimeError("the pilot was stopped")
 
 
-def _errors(tally: Tally) -> tuple[float, float]:
-    """Relative errors of one unit's bins, by the median over its light, and of its albedo, at the worst wavelength."""
-    scatter = tally.squares.scatter(tally.total, tally.replicates).floats()[0]
-    light = tally.total[0].astype(np.float64)
-    errors = np.sqrt(scatter / (tally.replicates - 1)) / np.maximum(light, 1.0)
-    bins = max(_median(errors[:-1, w], light[:-1, w]) for w in range(light.shape[1]))
-    return bins, float(errors[-1].max())
-
-
-def _median(values: Floats, weights: Floats) -> float:
-    """The weighted median; 0 if nothing has weight."""
-    return float(np.quantile(values, 0.5, weights=weights, method="inverted_cdf")) if weights.any() else 0.0
+def _albedo_error(tally: Tally) -> float:
+    """Relative error of one unit's albedo, at the worst wavelength."""
+    scatter = tally.squares.scatter(tally.total, tally.replicates).floats()[0, -1]
+    return float((np.sqrt(scatter / (tally.replicates - 1)) / np.maximum(tally.total[0, -1], 1)).max())

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import datetime
 import hashlib
-import io
 import json
 import secrets
 import shutil
@@ -21,8 +19,8 @@ import xarray as xr
 
 from gonio import __version__
 from gonio.campaign.dataset import SINGLE, open_campaign, variable_name
-from gonio.campaign.folder import Folder, measurement_file, write_whole
-from gonio.campaign.results import Merged, merge
+from gonio.campaign.folder import Folder, keys_of, measurement_file, write_whole
+from gonio.campaign.results import Merged, cell, index_of, merge
 from gonio.experiment import InputError
 from gonio.measurement import load, save
 from gonio.noise import Noises
@@ -164,15 +162,13 @@ class _Publication:
 
     def _index(self, names: Sequence[str]) -> str:
         """The table of all experiments as CSV."""
-        keys = _keys(self.manifest)
-        text = io.StringIO()
-        table = csv.writer(text, lineterminator="\n")
-        table.writerow(["experiment", "file", "thumbnail", *keys])
-        for number, (name, entry) in enumerate(zip(names, self.manifest["experiments"], strict=True), 1):
-            file = SINGLE if self.single else f"measurements/{name}.nc"
-            values = (_text(entry["parameters"].get(key)) for key in keys)
-            table.writerow([number, file, f"thumbnails/{name}.svg", *values])
-        return text.getvalue()
+        files = [SINGLE if self.single else f"measurements/{name}.nc" for name in names]
+        return index_of(self._points, {"file": files, "thumbnail": [f"thumbnails/{name}.svg" for name in names]})
+
+    @property
+    def _points(self) -> list[dict[str, Any]]:
+        """The swept parameters of every experiment."""
+        return [entry["parameters"] for entry in self.manifest["experiments"]]
 
     # --- The README ---------------------------------------------------------------------------------------------------
 
@@ -208,10 +204,9 @@ class _Publication:
             return sample
 
     def _parameters(self) -> str:
-        points = [entry["parameters"] for entry in self.manifest["experiments"]]
         lines = ["| parameter | in Python | values |", "| --- | --- | --- |"]
-        for key in _keys(self.manifest):
-            values = list(dict.fromkeys(_text(point.get(key)) for point in points))
+        for key in keys_of(self._points):
+            values = list(dict.fromkeys(cell(point.get(key)) for point in self._points))
             told = ", ".join(values) if len(values) <= LISTED else f"{len(values)}, from {values[0]} to {values[-1]}"
             lines.append(f"| {key} | `{variable_name(key)}` | {told} |")
         return "\n".join(lines) if len(lines) > 2 else "One experiment."
@@ -253,20 +248,10 @@ class _Publication:
         chosen = np.unique(np.linspace(0, len(names) - 1, min(SHOWN, len(names))).round().astype(int))
         lines = ["| | |", "| --- | --- |"]
         for number in chosen.tolist():
-            point = self.manifest["experiments"][number]["parameters"]
-            words = ", ".join(f"{key} = {_text(value)}" for key, value in point.items()) or f"experiment {number + 1}"
+            point = self._points[number]
+            words = ", ".join(f"{key} = {cell(value)}" for key, value in point.items()) or f"experiment {number + 1}"
             lines.append(f"| {words} | ![lobes](thumbnails/{names[number]}.svg) |")
         return "Lobes in the plane of incidence; lamps orange, mirror directions blue.\n\n" + "\n".join(lines)
-
-
-def _keys(manifest: Mapping[str, Any]) -> list[str]:
-    """The swept parameters."""
-    return list(dict.fromkeys(key for entry in manifest["experiments"] for key in entry["parameters"]))
-
-
-def _text(value: Any) -> str:
-    """A parameter's value as text; tables and lists as JSON."""
-    return json.dumps(value) if isinstance(value, dict | list) else "" if value is None else str(value)
 
 
 def _contents(sample: xr.Dataset) -> str:

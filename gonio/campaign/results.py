@@ -5,14 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
-from gonio.campaign.folder import DamagedError, Folder, measurement_file, write_whole
+from gonio.campaign.folder import DamagedError, Folder, keys_of, measurement_file, write_whole
 from gonio.campaign.units import joined
 from gonio.experiment import Experiment
 from gonio.measurement import Measurement, save
@@ -40,23 +40,23 @@ def merge(folder: str | Path, progress: Callable[[int, int], None] | None = None
 
     Raises `InputError` where there is no campaign, OSError where nothing can be written.
     """
-    home, result, rows = Folder(Path(folder)), Merged(), list[tuple[dict[str, Any], str]]()
+    home, result, names = Folder(Path(folder)), Merged(), list[str]()
     entries, finished = home.manifest()["experiments"], home.finished()
     home.measurements.mkdir(exist_ok=True)
     for number, entry in enumerate(entries):
         measurement = _measurement(home, entry, result) if finished.issuperset(entry["units"]) else None
         if measurement is None:
             result.incomplete += 1
-            rows.append((entry["parameters"], ""))
+            names.append("")
         else:
             path = home.measurements / measurement_file(entries, number)
             result.files.append(save(measurement, path))
-            rows.append((entry["parameters"], path.name))
+            names.append(path.name)
             if entry["experiment"]["realisations"] > 1:
                 result.noises[number] = noises(measurement)
         if progress:
             progress(number + 1, len(entries))
-    write_whole(home.measurements / "index.csv", _index(rows).encode())
+    write_whole(home.measurements / "index.csv", index_of([e["parameters"] for e in entries], {"file": names}).encode())
     return result
 
 
@@ -87,17 +87,17 @@ def _measurement(home: Folder, entry: Mapping[str, Any], result: Merged) -> Meas
     return replace(described, attributes=described.attributes | {"instruction_set": ", ".join(sorted(processors))})
 
 
-def _index(rows: list[tuple[dict[str, Any], str]]) -> str:
-    """The table of all experiments as CSV: number, file (empty if incomplete), and the swept parameters."""
-    keys = list(dict.fromkeys(key for point, _ in rows for key in point))
+def index_of(points: Sequence[Mapping[str, Any]], files: Mapping[str, Sequence[str]]) -> str:
+    """The table of all experiments as CSV: number, their files by what they are, and the swept parameters."""
+    keys = keys_of(points)
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["experiment", "file", *keys])
-    for number, (point, file) in enumerate(rows, 1):
-        table.writerow([number, file, *(_cell(point.get(key)) for key in keys)])
+    table.writerow(["experiment", *files, *keys])
+    for number, (point, *names) in enumerate(zip(points, *files.values(), strict=True), 1):
+        table.writerow([number, *names, *(cell(point.get(key)) for key in keys)])
     return text.getvalue()
 
 
-def _cell(value: Any) -> Any:
+def cell(value: Any) -> str:
     """A parameter's value as it stands in a table; tables and lists as JSON."""
-    return json.dumps(value) if isinstance(value, dict | list) else "" if value is None else value
+    return json.dumps(value) if isinstance(value, dict | list) else "" if value is None else str(value)

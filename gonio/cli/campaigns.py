@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import sys
 import time
@@ -25,7 +26,6 @@ from gonio.cli.terminal import (
     reason,
     say,
     show_table,
-    working,
 )
 
 if TYPE_CHECKING:
@@ -383,8 +383,8 @@ def campaign_merge(folder: Path, /) -> None:
     from gonio.campaign.results import merge
 
     try:
-        with working(f"merging {folder}"):
-            merged = merge(folder)
+        with _steps("merging") as show:
+            merged = merge(folder, show)
     except OSError as error:
         raise RunError(f"{folder} cannot be read or written ({reason(error)}).") from None
     complain(0, *merged.damaged)
@@ -410,7 +410,7 @@ def _advise(merged: Merged) -> None:
     found = merged.noises
     if not found:
         return
-    worst = max(found, key=lambda number: found[number].bins.total)
+    worst = max(found, key=lambda number: found[number].bins.total if found[number].bins.known else math.inf)
     if len(found) > 1:
         say(f"All {len(found)} experiments together:", style="bold")
         for sentence in Noises.together(list(found.values())).sentences():
@@ -465,10 +465,11 @@ def campaign_publish(
         if not text.strip():
             raise InputError(f"--{name} is empty: a data set without one cannot be used by others.")
     try:
-        with working(f"writing {output}"):
-            print(publish(folder, output, About(heading, creator, licence, description), single))
+        with _steps("publishing") as show:
+            publish(folder, output, About(heading, creator, licence, description), single, show)
     except OSError as error:
         raise RunError(f"{output} cannot be written ({reason(error)}): nothing was published.") from None
+    print(output)
 
 
 def _title_of(folder: Path) -> str:
