@@ -16,7 +16,7 @@ from bench import in_turn, table, timed
 import gonio
 import microsurfaces as ms
 from gonio.campaign import engine
-from gonio.campaign.folder import Folder
+from gonio.campaign.store import Folder
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.experiment import Experiment

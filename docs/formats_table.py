@@ -27,10 +27,10 @@ import test_formats_rgl as rgl  # noqa: E402
 import test_formats_text as text  # noqa: E402
 
 import gonio  # noqa: E402
+from gonio.brdf import Lobes  # noqa: E402
 from gonio.colour import rgb_weights, xyz_weights  # noqa: E402
 from gonio.detectors import HemisphereGrid  # noqa: E402
 from gonio.formats import FORMATS  # noqa: E402
-from gonio.formats.lobes import Lobes  # noqa: E402
 from gonio.models import Beckmann, Microfacet, SmithCorrelated  # noqa: E402
 from gonio.sphere import angles, direction  # noqa: E402
 

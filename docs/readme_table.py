@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from gonio.validate import run, summary
+from gonio.validation import run, summary
 
 README = Path(__file__).parents[1] / "README.md"
 START, END = "<!-- gonio validate --quick -->\n", "<!-- end -->"

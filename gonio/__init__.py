@@ -11,15 +11,12 @@ Names are imported when they are first used, so that `import gonio` costs nothin
 from __future__ import annotations
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gonio import formats, models, plots
     from gonio.campaign.dataset import open_campaign
-    from gonio.certificate import certify
-    from gonio.compare import Verdict, compare
+    from gonio.comparison import Verdict, compare
     from gonio.detectors import Apertures, HemisphereGrid, Klems
     from gonio.experiment import Experiment, InputError
     from gonio.fitting import fit
@@ -28,7 +25,8 @@ if TYPE_CHECKING:
     from gonio.measurement import Measurement, save
     from gonio.models import CookTorrance, Lambert, Microfacet
     from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
-    from gonio.scene import Scene
+    from gonio.self_check import certify
+    from gonio.transport.scene import Scene
 
 __version__ = "0.1.0"
 
@@ -47,10 +45,10 @@ _HOME = {
     "Measurement": "gonio.measurement",
     "Microfacet": "gonio.models",
     "Mirror": "gonio.optics",
-    "Scene": "gonio.scene",
-    "Verdict": "gonio.compare",
-    "certify": "gonio.certificate",
-    "compare": "gonio.compare",
+    "Scene": "gonio.transport.scene",
+    "Verdict": "gonio.comparison",
+    "certify": "gonio.self_check",
+    "compare": "gonio.comparison",
     "export": "gonio.formats",
     "fit": "gonio.fitting",
     "load": "gonio.formats",
@@ -103,15 +101,3 @@ def __getattr__(name: str) -> Any:
 def __dir__() -> list[str]:
     """The public names."""
     return __all__
-
-
-class _Package(ModuleType):
-    """The package itself, in which `compare` stays the function when the module of that name is imported."""
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if name == "compare" and isinstance(value, ModuleType):
-            value = value.compare
-        super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

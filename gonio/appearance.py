@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.brdf import Lobes
 from gonio.colour import encoded
 from gonio.detectors import HemisphereGrid, patch_quadrature
-from gonio.formats.lobes import Lobes
 from gonio.interpolation import bracket, bracket_around
 from gonio.measurement import Measurement, tabulated
 from gonio.models import Model, SmithMultipleScattering

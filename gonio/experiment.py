@@ -15,19 +15,19 @@ import numpy as np
 import tomli_w
 from pydantic import Field, TypeAdapter, ValidationError, field_validator, model_validator
 
-from gonio.certificate import certify
 from gonio.detectors import Klems
 from gonio.goniometer import Goniometer, Progress
+from gonio.html_drawing import plane_of_incidence
 from gonio.measurement import Measurement
 from gonio.models import Model, matching
 from gonio.models.specimen import Specimen, model_class
 from gonio.optics import Conductor, Dielectric, Material, index_table
-from gonio.scene import Scene
-from gonio.sketch import plane_of_incidence
+from gonio.self_check import certify
 from gonio.tally import MAX_PATHS
+from gonio.transport.scene import Scene
 from microsurfaces import HeightField, Mesh, Surface, VGrooves
-from microsurfaces.card import card
 from microsurfaces.files import replacing
+from microsurfaces.html_card import card
 from microsurfaces.recipe import from_toml, recipe, sentences
 
 

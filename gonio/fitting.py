@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from gonio.compare import order_of, predicted
+from gonio.comparison import order_of, predicted
 from gonio.detectors import Detector, HemisphereGrid
 from gonio.measurement import Measurement
 from gonio.models import Model

@@ -22,10 +22,14 @@ from pydantic import Field, TypeAdapter, model_validator
 
 from gonio.detectors import Detector, HemisphereGrid, Klems
 from gonio.measurement import FATES, Measurement, orders
-from gonio.paths import ABSORBED, LOST, TRUNCATED, Catch, Lamp, Matter, matter
-from gonio.scene import Scene
 from gonio.tally import MAX_PATHS, UNIT, Tally, Wide
 from gonio.transport import trace
+from gonio.transport.light import surface_optics
+from gonio.transport.scene import Scene
+from gonio.transport.scoring import Scores, bins_of
+from gonio.transport.setup import Setup
+from gonio.transport.source import Source
+from gonio.transport.termination import ABSORBED, LOST, TRUNCATED
 from microsurfaces.recipe import NonNegative, Positive, recipe
 
 Progress = Callable[[int, int, int], None]
@@ -39,7 +43,7 @@ GROUP_BYTES = 192 << 20
 
 @recipe
 class Goniometer:
-    """A lamp, a sample holder and a detector: light from every (theta_i, phi_i), collected in the detector's bins.
+    """A source, a sample holder and a detector: light from every (theta_i, phi_i), collected in the detector's bins.
 
     Every incidence is measured with `replicates` independent randomised replicates of equal size; their scatter is the
     error bar. `measure` returns the same bytes for the same seed whatever the number of threads.
@@ -61,7 +65,7 @@ class Goniometer:
     azimuth: Literal["fixed", "average"] = "fixed"
     """"average" turns the surface by another angle for every path: the isotropic average of any surface."""
     beam_half_angle: NonNegative = 0.0
-    """Half the angle that the lamp subtends at the sample, degrees; 0 is a collimated beam."""
+    """Half the angle that the source subtends at the sample, degrees; 0 is a collimated beam."""
     replicates: Annotated[int, Field(ge=2, le=1024)] = 16
     """Independent replicates that the error bars come from."""
     orders: Annotated[int, Field(ge=2, le=1000)] = 3
@@ -80,7 +84,7 @@ class Goniometer:
         for theta in self.theta_i:
             if self.beam_half_angle and theta + self.beam_half_angle > 90:
                 raise ValueError(
-                    f"theta_i = {theta:g} with beam_half_angle = {self.beam_half_angle:g} puts part of the lamp below "
+                    f"theta_i = {theta:g} with beam_half_angle = {self.beam_half_angle:g} puts part of the source below "
                     f"the horizon: keep their sum at or below 90 degrees"
                 )
             if isinstance(self.detector, HemisphereGrid) and self.detector.edge_at(theta):
@@ -101,9 +105,9 @@ class Goniometer:
         """What is measured, in this order."""
         theta_i, phi_i = self.axes()
         if not isinstance(self.detector, Klems):
-            beam = math.sin(math.radians(self.beam_half_angle)) ** 2
+            source_sin2 = math.sin(math.radians(self.beam_half_angle)) ** 2
             return [
-                Incidence(i, j, float(theta), float(phi), beam, (0.0, 0.0, 0.0))
+                Incidence(i, j, float(theta), float(phi), source_sin2, (0.0, 0.0, 0.0))
                 for i, theta in enumerate(theta_i)
                 for j, phi in enumerate(phi_i)
             ]
@@ -203,9 +207,9 @@ class Incidence(NamedTuple):
     theta: float
     phi: float
     """Its centre, degrees."""
-    beam: float
+    source_sin2: float
     patch: tuple[float, float, float]
-    """As `Lamp` has them."""
+    """As `Source` has them."""
 
 
 def _wanted(tally: Tally, target: float) -> int:
@@ -263,7 +267,7 @@ class _Job:
     incidences: int
     stop: threading.Event = field(default_factory=threading.Event)
     lock: threading.Lock = field(default_factory=threading.Lock)
-    spare: list[Catch] = field(default_factory=list)
+    spare: list[Scores] = field(default_factory=list)
     """Histograms to be used again: fresh memory costs more than the zeros in it."""
     paths: int = 0
     rays: int = 0
@@ -275,14 +279,14 @@ class _Job:
         g = self.goniometer
         wavelengths = np.array(g.wavelengths)
         theta, phi = incidence.theta, incidence.phi
-        lamp = Lamp(
-            math.radians(theta), math.radians(phi), incidence.beam, incidence.patch, g.azimuth == "average",
+        source = Source(
+            math.radians(theta), math.radians(phi), incidence.source_sin2, incidence.patch, g.azimuth == "average",
             _key(self.seed, theta, phi),
         )  # fmt: skip
-        setting = (lamp, matter(self.scene.material, wavelengths), g.detector, phi)
+        setup = Setup(source, surface_optics(self.scene.material, wavelengths), bins_of(g.detector, phi))
         shape = (g.orders + 1, g.detector.bins + 1, len(wavelengths))
         tally = Tally.empty(g.replicates, math.ceil(g.paths / g.replicates), shape)
-        self._run(tally, setting, replicates or range(g.replicates))
+        self._run(tally, setup, replicates or range(g.replicates))
         if replicates is None and g.target_error is not None:
             wanted = _wanted(tally, g.target_error)
             if wanted * tally.paths > MAX_PATHS:
@@ -290,12 +294,12 @@ class _Job:
                     f"target_error = {g.target_error:g} needs {wanted * tally.paths:.2g} paths at theta_i = {theta:g}, "
                     f"more than the {MAX_PATHS} that can be summed exactly: ask for less, or for wider bins"
                 )
-            self._run(tally, setting, range(g.replicates, wanted))
+            self._run(tally, setup, range(g.replicates, wanted))
         self.finished += tally.paths * tally.replicates
         self.incidences -= 1
         return tally
 
-    def _run(self, tally: Tally, setting: tuple[Lamp, Matter, Detector, float], replicates: range) -> None:
+    def _run(self, tally: Tally, setup: Setup, replicates: range) -> None:
         """Trace replicates on all threads; every thread takes the next group when it has finished one."""
         count = tally.replicates + len(replicates) + (self.incidences - 1) * tally.pilot
         expected = self.finished + tally.paths * count
@@ -307,7 +311,7 @@ class _Job:
             try:
                 while True:
                     for some in itertools.islice(queue, self.threads - len(pending)):
-                        pending.add(pool.submit(self._group, tally, setting, some))
+                        pending.add(pool.submit(self._group, tally, setup, some))
                     if not pending:
                         break
                     done, pending = wait(pending, timeout=_TICK, return_when=FIRST_COMPLETED)
@@ -319,16 +323,16 @@ class _Job:
                 self.stop.set()
                 raise
 
-    def _group(self, tally: Tally, setting: tuple[Lamp, Matter, Detector, float], replicates: range) -> None:
+    def _group(self, tally: Tally, setup: Setup, replicates: range) -> None:
         labels, bins, width = tally.total.shape
         with self.lock:
-            catch = self.spare.pop() if self.spare else None
-        if catch is None or len(replicates) != len(catch.ledger):
-            catch = Catch.empty(len(replicates), labels - 1, bins, width)
-        if trace(self.scene, *setting, replicates, tally.paths, catch, self._advanced):
-            tally.add(replicates, catch.bins, catch.ledger)
+            scores = self.spare.pop() if self.spare else None
+        if scores is None or len(replicates) != len(scores.ledger):
+            scores = Scores.empty(len(replicates), labels - 1, bins, width)
+        if trace(self.scene, setup, replicates, tally.paths, scores, self._advanced):
+            tally.add(replicates, scores.bins, scores.ledger)
             with self.lock:
-                self.spare.append(catch)
+                self.spare.append(scores)
 
     def _advanced(self, paths: int, rays: int) -> bool:
         with self.lock:

@@ -19,14 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from gonio.detectors import Detector, HemisphereGrid
+from gonio.html_drawing import in_plane, plane_of_incidence, thinned
 from gonio.interpolation import Interpolation
 from gonio.optics import Material
-from gonio.sketch import in_plane, plane_of_incidence, thinned
 from gonio.sphere import angles
 from gonio.tally import MAX_PATHS, UNIT, Wide
 from microsurfaces import Facets, Surface
-from microsurfaces.card import card
 from microsurfaces.files import replacing
+from microsurfaces.html_card import card
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -12,12 +12,12 @@ from rich.table import Table
 from microsurfaces.recipe import parameters as fields
 
 if TYPE_CHECKING:
-    from gonio.certificate import Certificate
-    from gonio.compare import Verdict
+    from gonio.comparison import Verdict
     from gonio.fitting import Fit, Ranked
     from gonio.measurement import Measurement
     from gonio.models import Model
-    from gonio.validate import Row
+    from gonio.self_check import Certificate
+    from gonio.validation import Row
 
 MOST_ROWS = 40
 """Of more incidences than that, tables show one for each theta_i."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from microsurfaces.card import card, image
+from microsurfaces.html_card import card, image
 from microsurfaces.mesh import (
     Facets,
     Floats,

@@ -90,9 +90,9 @@ RELIEFS = {
 def without_shortcuts(grid):
     """The same grid, but nothing is certain and no place is too high for a look at the cells."""
     return grid._replace(
-        codes=np.full_like(grid.codes, 255),
-        tops=np.full_like(grid.tops, np.inf),
-        dilated=np.full_like(grid.dilated, np.inf),
+        horizon_code=np.full_like(grid.horizon_code, 255),
+        max_mipmap=np.full_like(grid.max_mipmap, np.inf),
+        dilated_mipmap=np.full_like(grid.dilated_mipmap, np.inf),
     )
 
 

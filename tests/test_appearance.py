@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gonio import appearance
+from gonio.brdf import Lobes
 from gonio.detectors import HemisphereGrid
-from gonio.formats.lobes import Lobes
 from gonio.measurement import tabulated
 from gonio.models import AshikhminShirley, Beckmann, Lambert, Microfacet, SmithCorrelated, SmithMultipleScattering
 from gonio.optics import Conductor, Mirror

@@ -14,29 +14,34 @@ LEVELS = [
     {"gonio.__main__"},
     {"gonio.cli"},
     {"gonio.campaign"},
-    {"gonio.experiment", "gonio.validate"},
-    {"gonio.report"},
-    {"gonio.plots", "gonio.render", "gonio.certificate", "gonio.fitting", "gonio.noise", "gonio.tables"},
-    {"gonio.appearance", "gonio.compare"},
+    {"gonio.experiment", "gonio.validation"},
+    {"gonio.reporting"},
+    {"gonio.plots", "gonio.rendering", "gonio.self_check", "gonio.fitting", "gonio.noise", "gonio.tables"},
+    {"gonio.appearance", "gonio.comparison"},
     {"gonio.formats"},
     {"gonio.goniometer"},
-    {"gonio.transport"},
-    {"gonio.grid_transport"},
-    {"gonio.scene", "gonio.paths", "gonio.models", "gonio.measurement"},
-    {"gonio.interpolation", "gonio.sketch"},
+    {"gonio.transport.embree"},
+    {"gonio.transport.height_field"},
+    {"gonio.transport.scene", "gonio.transport.source", "gonio.models", "gonio.measurement"},
+    {"gonio.interpolation", "gonio.html_drawing"},
     {"gonio.detectors", "gonio.colour"},
-    {"gonio.grid", "gonio.optics", "gonio.sphere", "gonio.tally"},
+    {"gonio.transport.accelerator", "gonio.optics", "gonio.sphere", "gonio.tally"},
     {"gonio.randomness"},
     {"microsurfaces"},
     {"microsurfaces.processes"},
     {"microsurfaces.random_fields", "microsurfaces.profiles", "microsurfaces.textures", "microsurfaces.files"},
     {"microsurfaces.height_field"},
     {"microsurfaces.mesh"},
-    {"microsurfaces.recipe", "microsurfaces.card"},
+    {"microsurfaces.recipe", "microsurfaces.html_card"},
 ]
 """From the command line down to the geometry; the modules of one level do not import each other."""
 
-KEEPERS = {"embreex": "gonio.scene", "matplotlib": "gonio.plots", "pyvista": "gonio.plots", "mitsuba": "gonio.render"}
+KEEPERS = {
+    "embreex": "gonio.transport.scene",
+    "matplotlib": "gonio.plots",
+    "pyvista": "gonio.plots",
+    "mitsuba": "gonio.rendering",
+}
 
 
 def module(path: Path) -> str:

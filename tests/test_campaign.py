@@ -26,7 +26,7 @@ import pytest
 import gonio
 import microsurfaces as ms
 from gonio.campaign import engine, folder, results, units
-from gonio.campaign.folder import DamagedError, Folder, pack, unpack
+from gonio.campaign.store import DamagedError, Folder, pack, unpack
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.cli import main

@@ -17,7 +17,7 @@ import pytest
 from test_campaign import BASE, KINDS, TOY, UNITS, assert_same
 
 from gonio.campaign import cluster, engine, results
-from gonio.campaign.folder import Folder
+from gonio.campaign.store import Folder
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.cli import main

@@ -22,8 +22,8 @@ import gonio
 import microsurfaces as ms
 from gonio.campaign import dataset, engine, results
 from gonio.campaign.dataset import Layout, open_campaign
-from gonio.campaign.folder import Folder
 from gonio.campaign.publication import About, publish
+from gonio.campaign.store import Folder
 from gonio.campaign.sweep import Campaign
 from gonio.cli import main
 from gonio.experiment import Experiment, InputError

@@ -15,8 +15,8 @@ from test_campaign import BASE, KINDS, TOY, Gonio, assert_same, run  # noqa: F40
 
 import gonio
 from gonio.campaign import engine, planning, results
-from gonio.campaign.folder import Folder
 from gonio.campaign.planning import Forecast, Sample, plan
+from gonio.campaign.store import Folder
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.experiment import InputError

@@ -16,13 +16,13 @@ from test_mutations import DAMAGES
 
 import gonio
 import microsurfaces as ms
-from gonio.certificate import Certificate, certify, certify_file
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.experiment import Experiment
 from gonio.goniometer import Goniometer
 from gonio.measurement import FATES
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
-from gonio.scene import Scene
+from gonio.self_check import Certificate, certify, certify_file
+from gonio.transport.scene import Scene
 
 NAMES = (
     "ledger", "orders", "values", "energy", "furnace", "lost light", "reciprocity", "normals", "resolution",

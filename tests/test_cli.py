@@ -22,11 +22,11 @@ from synthetic import foreign
 import gonio
 import microsurfaces as ms
 from gonio import validate
-from gonio.certificate import Certificate, Check
 from gonio.cli import main
 from gonio.experiment import Experiment
 from gonio.goniometer import Goniometer
 from gonio.plots import style
+from gonio.self_check import Certificate, Check
 from gonio.sphere import direction
 
 TOY = """
@@ -166,8 +166,8 @@ def test_a_run_draws_and_compares_once(run: Gonio, monkeypatch: pytest.MonkeyPat
     calls: list[str] = []
     for name in ("lobes", "slices", "hemisphere", "albedo", "difference"):
         monkeypatch.setattr(f"gonio.plots.{name}", _counted(calls, name))
-    monkeypatch.setattr(sys.modules["gonio.compare"], "compare", _counted(calls, "compare", gonio.compare))
-    monkeypatch.setattr("gonio.report.compare", None)
+    monkeypatch.setattr(sys.modules["gonio.comparison"], "compare", _counted(calls, "compare", gonio.compare))
+    monkeypatch.setattr("gonio.reporting.compare", None)
     code, out, err = run("run", "toy.toml")
     assert (code, err) == (0, "")
     assert "report.html" in out
@@ -437,7 +437,7 @@ def test_validate_keeps_what_was_done_before_ctrl_c(run: Gonio, monkeypatch: pyt
             raise KeyboardInterrupt
         return honest(quick, names)
 
-    monkeypatch.setattr("gonio.validate.run", until_pits)
+    monkeypatch.setattr("gonio.validation.run", until_pits)
     code, _, err = run("validate", "--quick", "--case", "hits", "--case", "pits", "-o", "table.md")
     assert code == 1
     assert err.splitlines()[-1] == "Interrupted after 1 of 2 cases."

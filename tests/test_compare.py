@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 from synthetic import GRID, TRUTH, foreign, poisson, synthetic
 
-from gonio.compare import ENOUGH_HITS, _pools, compare
+from gonio.brdf import Lobes
+from gonio.comparison import ENOUGH_HITS, _pools, compare
 from gonio.detectors import Apertures, HemisphereGrid
-from gonio.formats.lobes import Lobes
 from gonio.models import CookTorrance, Lambert, Ward
 from gonio.optics import Conductor, Mirror
 from gonio.sphere import direction

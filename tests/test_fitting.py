@@ -27,8 +27,8 @@ from gonio.models import (
 )
 from gonio.models.parameters import with_values
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
-from gonio.scene import Scene
 from gonio.sphere import direction
+from gonio.transport.scene import Scene
 
 WIDE = HemisphereGrid(theta_step=10.0, phi_step=20.0)
 

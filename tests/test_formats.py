@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gonio
+from gonio.brdf import Lobes
 from gonio.detectors import HemisphereGrid
 from gonio.formats import FORMATS, exr, loss
-from gonio.formats.lobes import Lobes
 from gonio.measurement import tabulated
 from gonio.sphere import angles, direction, reflect, rotate_z
 from microsurfaces.files import replacing

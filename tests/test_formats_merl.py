@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gonio.brdf import Lobes
 from gonio.colour import PRIMARIES
 from gonio.formats import merl
-from gonio.formats.lobes import Lobes
 from gonio.sphere import angles, direction
 
 SCALES = (1 / 1500, 1.15 / 1500, 1.66 / 1500)

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gonio.brdf import Lobes
 from gonio.detectors import HemisphereGrid
 from gonio.formats import pab
-from gonio.formats.lobes import Lobes
 from gonio.sphere import angles, direction, rotate_z
 
 COLOURS = np.array([450.0, 550.0, 650.0])

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from gonio.brdf import Lobes
 from gonio.formats import klems, radiance, tensor_tree
-from gonio.formats.lobes import Lobes
 from gonio.formats.text import numbers
 from gonio.sphere import angles, direction, half_vector, rotate_z
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gonio.brdf import NOMINAL, Lobes
 from gonio.detectors import HemisphereGrid
 from gonio.formats import rgl
-from gonio.formats.lobes import NOMINAL, Lobes
 from gonio.models import GGX, Beckmann, Lambert, Microfacet, SmithSeparable
 from gonio.optics import Conductor
 from gonio.sphere import direction, rotate_z

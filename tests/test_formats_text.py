@@ -18,10 +18,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gonio.brdf import NOMINAL, Lobes
 from gonio.detectors import HemisphereGrid
 from gonio.formats import astm, bird, json_arrays, openmaterial, table_csv, zemax
-from gonio.formats.lobes import NOMINAL, Lobes
-from gonio.formats.table import Table, degrees
+from gonio.formats.scattered import Table, degrees
 from gonio.measurement import tabulated
 from gonio.sphere import angles, direction, half_vector, rotate_z
 

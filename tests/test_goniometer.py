@@ -12,8 +12,8 @@ from gonio import goniometer as instrument
 from gonio import optics
 from gonio.detectors import Apertures, HemisphereGrid, Klems, cone_quadrature
 from gonio.goniometer import Goniometer
-from gonio.scene import Scene
 from gonio.tally import UNIT
+from gonio.transport.scene import Scene
 
 GRID = HemisphereGrid(theta_step=5, phi_step=15)
 

@@ -10,10 +10,12 @@ import microsurfaces as ms
 from gonio import grid_transport, optics, paths
 from gonio.detectors import HemisphereGrid
 from gonio.goniometer import Goniometer
-from gonio.grid import BLOCK, Grid, sector
-from gonio.grid_transport import Flight
-from gonio.paths import ESCAPED, IN_FLIGHT, Catch, Lamp
-from gonio.scene import Scene
+from gonio.transport.accelerator import BLOCK, Grid, horizon_sector
+from gonio.transport.height_field import PathState
+from gonio.transport.scene import Scene
+from gonio.transport.scoring import Scores
+from gonio.transport.source import Source
+from gonio.transport.termination import ESCAPED, IN_FLIGHT
 
 COARSE = HemisphereGrid(theta_step=15, phi_step=30)
 FROM_ALL_SIDES = {"theta_i": (0, 45, 75, 88), "phi_i": (0, 37, 45, 90, 180, 211)}
@@ -44,7 +46,7 @@ def test_every_shortcut_is_a_proof(relief, material, setting):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(grid_transport, "WORTH", worth)
             proven.append(goniometer.measure(scene, seed=1, threads=1).sums)
-    scene.grid = without_shortcuts(scene.grid)
+    scene.accelerator = without_shortcuts(scene.accelerator)
     searched = goniometer.measure(scene, seed=1, threads=1).sums
     assert proven[0].identical(searched), "a guess has been accepted that is not the first hit"
     assert proven[1].identical(searched)
@@ -54,26 +56,26 @@ def test_every_shortcut_is_a_proof(relief, material, setting):
 
 
 def test_no_node_is_lower_than_what_it_stands_for(relief):
-    """In float64: tops over all their cells, dilated ones over all that a bundle about the node's middle can reach."""
+    """In float64: max_mipmap over all their cells, dilated_mipmap ones over all that a bundle about the node's middle can reach."""
     grid = Grid.of(relief)
     ny, nx = grid.shape
     corners = [grid.heights[j : j + ny, i : i + nx] for j in (0, 1) for i in (0, 1)]
     cells = np.maximum.reduce(corners)
     for level in range(len(grid.widths)):
         size, first = 1 << level, grid.offsets[level]
-        tops = grid.tops[first : grid.offsets[level + 1]].reshape(-1, grid.widths[level])
-        wide = np.repeat(np.repeat(tops, size, axis=0), size, axis=1)[:ny, :nx]
+        max_mipmap = grid.max_mipmap[first : grid.offsets[level + 1]].reshape(-1, grid.widths[level])
+        wide = np.repeat(np.repeat(max_mipmap, size, axis=0), size, axis=1)[:ny, :nx]
         assert (wide > cells).all() or ((wide == cells).all() and not np.ptp(cells))
         if level == 0:
             continue
-        dilated = grid.dilated[first - grid.offsets[1] :][: tops.size].reshape(tops.shape)
+        dilated_mipmap = grid.dilated_mipmap[first - grid.offsets[1] :][: max_mipmap.size].reshape(max_mipmap.shape)
         # Half a bundle about any place of a node: whole cells of what lies that far from its sides.
         reach = np.arange(-(size // 2), size // 2 + 1)
-        for j, i in np.ndindex(tops.shape):
+        for j, i in np.ndindex(max_mipmap.shape):
             rows = np.arange(j * size, min((j + 1) * size, ny))
             columns = np.arange(i * size, min((i + 1) * size, nx))
             near = np.ix_(*(np.unique(np.add.outer(k, reach) % n) for k, n in ((rows, ny), (columns, nx))))
-            assert dilated[j, i] >= cells[near].max()
+            assert dilated_mipmap[j, i] >= cells[near].max()
 
 
 # -------------------------------------------------------------------------------------------------------- certificates
@@ -81,9 +83,9 @@ def test_no_node_is_lower_than_what_it_stands_for(relief):
 
 def certified(grid, i, j, dx, dy, dz):
     """Whether rays that leave cells (i, j) are certain to escape, as the transport asks; directions per cell."""
-    sectors = np.array([sector(*xy) for xy in zip(dx, dy, strict=True)])
-    codes = grid.codes[j >> BLOCK, i >> BLOCK, sectors]
-    return dz**2 > grid.certain[codes] * (dx**2 + dy**2), grid.certain[codes]
+    sectors = np.array([horizon_sector(*xy) for xy in zip(dx, dy, strict=True)])
+    horizon_code = grid.horizon_code[j >> BLOCK, i >> BLOCK, sectors]
+    return dz**2 > grid.horizon_slope2[horizon_code] * (dx**2 + dy**2), grid.horizon_slope2[horizon_code]
 
 
 def test_what_is_certain_to_escape_hits_nothing(relief):
@@ -108,7 +110,7 @@ def test_what_is_certain_to_escape_hits_nothing(relief):
 def test_guesses_are_worth_what_the_certificates_say(relief):
     """The share of the blocks that see a lamp."""
     grid, rng = Grid.of(relief), np.random.default_rng(2)
-    rows, columns = (index.ravel() << BLOCK for index in np.indices(grid.codes.shape[:2]))
+    rows, columns = (index.ravel() << BLOCK for index in np.indices(grid.horizon_code.shape[:2]))
     for dx, dy, dz in rng.normal(size=(30, 3)) * [1, 1, 2]:
         certain, _ = certified(grid, columns, rows, np.full(rows.size, dx), np.full(rows.size, dy), dz)
         assert grid.certainty(dx, dy, dz) == pytest.approx(np.mean(certain & (dz > 0)))
@@ -119,7 +121,7 @@ def test_vertical_light_meets_a_needle_from_which_nothing_is_certain():
     heights = np.zeros((512, 512))
     heights[100, 200] = 1.0
     scene = Scene(ms.HeightField(heights, (1.0, 1.0)), optics.Mirror())
-    assert scene.grid.codes.max() == 255
+    assert scene.accelerator.horizon_code.max() == 255
     goniometer = Goniometer(theta_i=(0,), paths=50_000, wavelengths=(550,), detector=COARSE)
     assert goniometer.measure(scene).albedo()["albedo"].item() == 1.0
 
@@ -197,7 +199,7 @@ def test_first_hits_are_those_of_embree(relief):
 def in_flight(grid, x, y, directions):
     """Rays from the highest point's height, of which nothing is known."""
     count = x.size
-    flight = Flight.of(count, 1)
+    flight = PathState.of(count, 1)
     flight.x[:], flight.y[:], flight.z[:] = x, y, grid.top
     flight.dx[:], flight.dy[:], flight.dz[:] = directions.T
     flight.i[:count], flight.j[:count], flight.side[:] = x, y, -1
@@ -234,9 +236,9 @@ def test_directions_are_put_into_the_bins_that_their_angles_lie_in(theta_step, p
     theta, phi = np.arccos(rng.uniform(0, 1, count)), rng.uniform(-math.pi, math.pi, count)
     theta[:4], phi[:4] = (0.0, math.pi / 2 - 1e-9, 1e-9, 1e-4), np.radians(lamp_azimuth)
     directions = (np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta))
-    catch = Catch.empty(1, 1, detector.bins + 1, 1)
+    catch = Scores.empty(1, 1, detector.bins + 1, 1)
     records = np.zeros((count + 1, 2), np.int64)
-    lamp = Lamp(0.5, math.radians(lamp_azimuth), 0.0, (0.0, 0.0, 0.0), False, (1, 2))
+    lamp = Source(0.5, math.radians(lamp_azimuth), 0.0, (0.0, 0.0, 0.0), False, (1, 2))
     paths.collect(
         count, directions, np.full(count, ESCAPED, np.int8), np.ones((count, 1)), np.zeros(count, np.int64),
         np.zeros(count, np.int32), np.ones(count, np.int32), paths.bins_of(detector, lamp_azimuth), lamp, np.zeros(1),

@@ -17,8 +17,8 @@ from gonio import optics
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.goniometer import Goniometer
 from gonio.measurement import load, save, tabulated
-from gonio.scene import Scene
 from gonio.sphere import direction
+from gonio.transport.scene import Scene
 
 GRID = HemisphereGrid(theta_step=5, phi_step=15)
 ROUGH = ms.Gaussian(alpha=0.4, samples=128, side=75.0)

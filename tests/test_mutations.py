@@ -26,8 +26,8 @@ from gonio import optics
 from gonio.detectors import Apertures, HemisphereGrid, cone_quadrature
 from gonio.goniometer import Goniometer
 from gonio.models import CookTorrance
-from gonio.scene import Scene
 from gonio.sphere import direction
+from gonio.transport.scene import Scene
 
 COARSE = HemisphereGrid(theta_step=5, phi_step=15)
 GLASS = optics.Dielectric(eta=1.5)
@@ -428,7 +428,7 @@ DAMAGES = (
     # What all paths have in common.
     Damage(
         "a weight times the local cosine",
-        "paths.weigh",
+        "paths.attenuate",
         "i, weak = struck[n], 0",
         "i, weak = struck[n], 0\n        weights[i, 0] *= cosines[n]",
         a_lossless_surface_returns_all_light,
@@ -712,8 +712,8 @@ DAMAGES = (
     Damage(
         "guesses that see the lamp behind them",
         "grid_transport._guess",
-        "sector(-u, -v)",
-        "sector(u, v)",
+        "horizon_sector(-u, -v)",
+        "horizon_sector(u, v)",
         every_shortcut_is_a_proof,
     ),
     Damage(
@@ -733,8 +733,8 @@ DAMAGES = (
     Damage(
         "escape certain at half the certified slope",
         "grid_transport._search",
-        "certain[code]",
-        "0.25 * certain[code]",
+        "horizon_slope2[code]",
+        "0.25 * horizon_slope2[code]",
         every_shortcut_is_a_proof,
     ),
     Damage(
@@ -747,8 +747,8 @@ DAMAGES = (
     Damage(
         "nodes passed above where rays enter them",
         "grid_transport._walk",
-        "<= tops[np.uint64(offsets[level]",
-        "+ (0.0 if rises else dz * (way - end)) <= tops[np.uint64(offsets[level]",
+        "<= max_mipmap[np.uint64(offsets[level]",
+        "+ (0.0 if rises else dz * (way - end)) <= max_mipmap[np.uint64(offsets[level]",
         every_shortcut_is_a_proof,
     ),
     Damage(

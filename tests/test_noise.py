@@ -11,8 +11,8 @@ import microsurfaces as ms
 from gonio.detectors import HemisphereGrid
 from gonio.goniometer import Goniometer, empty_sums, enter
 from gonio.noise import Noise, Noises, noises, variances
-from gonio.scene import Scene
 from gonio.tally import UNIT, Tally
+from gonio.transport.scene import Scene
 
 GRID = HemisphereGrid(theta_step=10.0, phi_step=15.0)
 REPLICATES = 16

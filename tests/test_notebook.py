@@ -11,11 +11,11 @@ import gonio
 import microsurfaces as ms
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.experiment import Experiment
+from gonio.html_drawing import in_plane, plane_of_incidence
 from gonio.measurement import tabulated
 from gonio.models import Lambert
 from gonio.plots.interactive import interactive
-from gonio.sketch import in_plane, plane_of_incidence
-from microsurfaces.card import card, image
+from microsurfaces.html_card import card, image
 
 RELIEF = ms.Gaussian(alpha=0.3, side=100.0, samples=64).build(seed=1)
 

@@ -178,7 +178,7 @@ def test_quoted_indices_of_glasses():
     assert Dielectric("SiO2").refractive_index(550.0)[0] == pytest.approx(1.4599, abs=6e-5)
 
 
-@pytest.mark.parametrize("name", optics.materials())
+@pytest.mark.parametrize("name", optics.tabulated_materials())
 def test_every_table_covers_the_visible_and_names_its_source(name):
     table = optics.index_table(name)
     assert table.wavelengths[0] <= 380.0
@@ -192,7 +192,7 @@ def test_every_table_covers_the_visible_and_names_its_source(name):
 
 def test_every_table_is_known_by_name():
     files = {path.stem for path in (Path(optics.__file__).parent / "data").glob("*.csv")} - {"cie"}
-    assert files == set(optics.materials()) == {*CONDUCTORS, *DIELECTRICS}
+    assert files == set(optics.tabulated_materials()) == {*CONDUCTORS, *DIELECTRICS}
     assert len(files) == 12
 
 
@@ -255,7 +255,7 @@ def test_one_index_for_all_wavelengths():
 # --- Pages of the refractiveindex.info database -----------------------------------------------------------------------
 
 
-CACHES = (optics.index_table, optics._database_page, optics._database)
+CACHES = (optics.index_table, optics.refractive_index.database_page, optics.refractive_index._database)
 
 
 @pytest.fixture
@@ -275,7 +275,10 @@ def no_database(monkeypatch):
 
 def tables_of(name):
     """The tables of a page by their type, sorted arrays (n, columns): its file, read line by line."""
-    tables, lines = {}, optics._database()[name].read_text(encoding="utf-8").partition("\nDATA:")[2].splitlines()
+    tables, lines = (
+        {},
+        optics.refractive_index._database()[name].read_text(encoding="utf-8").partition("\nDATA:")[2].splitlines(),
+    )
     for line in lines:
         words = line.split()
         if words[:2] == ["-", "type:"]:
@@ -390,7 +393,7 @@ def test_a_page_reaches_to_the_ends_that_it_states():
 
 @pytest.mark.usefixtures("database")
 def test_every_page_is_sound_or_refused_in_one_sentence():
-    pages = optics._database()
+    pages = optics.refractive_index._database()
     assert len(pages) > 3500
     refused = []
     for name in pages:

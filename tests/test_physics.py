@@ -12,8 +12,8 @@ import microsurfaces as ms
 from gonio import optics
 from gonio.detectors import Apertures, HemisphereGrid, cone_quadrature
 from gonio.goniometer import Goniometer
-from gonio.scene import Scene
 from gonio.tally import UNIT
+from gonio.transport.scene import Scene
 
 NAMED = [optics.Conductor(n) for n in ("Au", "Ag", "Al", "Cu", "Cr", "Fe", "Ni", "Ti", "W")]
 CLEAR = [optics.Dielectric(n) for n in ("SiO2", "N-BK7", "TiO2")]
@@ -286,7 +286,7 @@ def test_the_same_bytes_for_any_threads_and_waves(by, monkeypatch):
 
     relief = ms.Gaussian(alpha=0.9, samples=200, side=120.0).build(1)
     scene = Scene(relief if by == "grid" else relief.mesh(), optics.Lambertian(0.9))
-    assert (scene.grid is not None) == (by == "grid")
+    assert (scene.accelerator is not None) == (by == "grid")
     goniometer = Goniometer(
         theta_i=(10, 70), paths=40_000, azimuth="average", beam_half_angle=2, detector=HemisphereGrid(5, 15)
     )
@@ -310,8 +310,8 @@ def test_random_numbers_are_philox():
 
 
 def test_paths_start_uniformly_and_one_in_every_cell():
-    from gonio.paths import start
     from gonio.randomness import philox
+    from gonio.transport.source import start
 
     paths = 4**6
     x, y = np.array([start(path, paths, philox(path, 0, 0, 0, 1, 2)[0]) for path in range(paths)]).T
@@ -323,19 +323,19 @@ def test_paths_start_uniformly_and_one_in_every_cell():
 
 def test_height_fields_and_meshes_are_lit_at_the_same_places():
     from gonio import grid_transport, transport
-    from gonio.grid import Grid
-    from gonio.paths import Lamp
+    from gonio.transport.accelerator import Grid
+    from gonio.transport.source import Source
 
     paths, members, turns, none = 4**4, 3, np.array([0.1, 0.5, 0.9]), (0.0, 0.0, 0.0)
     relief = ms.HeightField(np.random.default_rng(1).normal(size=(6, 8)), (0.25, 0.5))
     grid, tile = Grid.of(relief), Scene(relief.mesh(), optics.Mirror()).tile
     lamps = (
-        Lamp(0.3, 1.0, 0.0, none, False, (1, 2)),
-        Lamp(0.3, 1.0, 0.01, none, True, (1, 2)),
-        Lamp(0.3, 1.0, 0.0, (0.1, 0.2, 0.3), False, (1, 2)),
+        Source(0.3, 1.0, 0.0, none, False, (1, 2)),
+        Source(0.3, 1.0, 0.01, none, True, (1, 2)),
+        Source(0.3, 1.0, 0.0, (0.1, 0.2, 0.3), False, (1, 2)),
     )
     for lamp in lamps:
-        wave, flight = transport._empty_wave(paths * members, 1), grid_transport.Flight.of(paths * members, 1)
+        wave, flight = transport._empty_wave(paths * members, 1), grid_transport.PathState.of(paths * members, 1)
         beam = grid_transport.beam_of(lamp, grid, paths * members)
         transport._launch(wave, 0, 0, paths * members, paths, 4, turns, lamp, tile)
         grid_transport._launch(flight, 0, paths, paths, 4, turns, lamp, beam, grid)

@@ -10,7 +10,7 @@ from synthetic import TRUTH, foreign
 
 import gonio
 from gonio import plots
-from gonio.compare import compare
+from gonio.comparison import compare
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.models import CookTorrance, Lambert
 from gonio.plots import style

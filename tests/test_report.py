@@ -28,15 +28,15 @@ from synthetic import foreign
 import gonio
 import microsurfaces as ms
 from gonio import tables
-from gonio.certificate import Certificate
 from gonio.cli import main
-from gonio.compare import compare
+from gonio.comparison import compare
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.experiment import Experiment, models_for
 from gonio.fitting import fit
 from gonio.measurement import Measurement, tabulated
 from gonio.models import Lambert
-from gonio.report import explore, markup, report, words
+from gonio.reporting import explore, markup, report, words
+from gonio.self_check import Certificate
 from gonio.sphere import direction
 
 NASTY = "<script>alert(1)</script> & </script><img src=x onerror=alert(2)>\x07 'quoted' \"too\""
@@ -80,7 +80,7 @@ def page(measurement: Measurement, tmp_path_factory: pytest.TempPathFactory) -> 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves out the pictures, which take longer than all the rest."""
-    monkeypatch.setattr("gonio.report._picture", lambda drawn, name, *_: markup.tag("p", f"[{name}]"))
+    monkeypatch.setattr("gonio.reporting._picture", lambda drawn, name, *_: markup.tag("p", f"[{name}]"))
 
 
 class Reader(HTMLParser):
@@ -181,7 +181,7 @@ def test_what_exists_already_is_not_made_again(tmp_path: Path, monkeypatch: pyte
     for k, name in enumerate(names):
         Image.new("RGB", (3 + k, 2)).save(tmp_path / f"{name}.png")
         monkeypatch.setattr(f"gonio.plots.{name}", again)
-    monkeypatch.setattr("gonio.report.compare", again)
+    monkeypatch.setattr("gonio.reporting.compare", again)
     drawn = [tmp_path / f"{name}.png" for name in names]
     reader = Reader(report(GREY, tmp_path / "x.html", [verdict], pictures=drawn))
     images = reader.all("img")
@@ -375,7 +375,7 @@ def test_a_model_that_cannot_be_compared_is_told(tmp_path: Path, undrawn: None, 
     def refuse(*_: Any) -> None:
         raise ValueError("because <b>")
 
-    monkeypatch.setattr("gonio.report.compare", refuse)
+    monkeypatch.setattr("gonio.reporting.compare", refuse)
     text = Reader(report(GREY, tmp_path / "x.html", [Lambert(reflectance=0.5)])).words("p")
     assert "Lambert, reflectance 0.5 was not compared: because <b>" in text
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gonio.validate import CASES, LEVEL, Case, _bound, _chi2, _pooled, _rows, _t, markdown, run, summary, unfolded
+from gonio.validation import CASES, LEVEL, Case, _bound, _chi2, _pooled, _rows, _t, markdown, run, summary, unfolded
 from microsurfaces.files import replacing
 
 ROOT = Path(__file__).parents[1]

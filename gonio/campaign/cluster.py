@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from gonio.campaign import engine
-from gonio.campaign.engine import REPORT_SECONDS, ClusterError, Queue, Report, attempt
-from gonio.campaign.folder import Folder
+from gonio.campaign.running import REPORT_SECONDS, ClusterError, Queue, Report, attempt
+from gonio.campaign.store import Folder
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from gonio.campaign.folder import Folder, keys_of, measurement_file
+from gonio.campaign.store import Folder, keys_of, measurement_file
 from gonio.experiment import InputError
 
 SINGLE = "campaign.nc"

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.campaign.engine import cores
-from gonio.campaign.folder import Folder
 from gonio.campaign.results import merge
+from gonio.campaign.running import cores
+from gonio.campaign.store import Folder
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Bench, Plan, Unit, units_of, unpacked
 from gonio.detectors import Klems

@@ -19,8 +19,8 @@ import xarray as xr
 
 from gonio import __version__
 from gonio.campaign.dataset import SINGLE, open_campaign, variable_name
-from gonio.campaign.folder import Folder, keys_of, measurement_file, write_whole
 from gonio.campaign.results import Merged, cell, index_of, merge
+from gonio.campaign.store import Folder, keys_of, measurement_file, write_whole
 from gonio.experiment import InputError
 from gonio.measurement import load, save
 from gonio.noise import Noises

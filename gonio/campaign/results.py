@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from gonio.campaign.folder import DamagedError, Folder, keys_of, measurement_file, write_whole
+from gonio.campaign.store import DamagedError, Folder, keys_of, measurement_file, write_whole
 from gonio.campaign.units import joined
 from gonio.experiment import Experiment
 from gonio.measurement import Measurement, save

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from gonio.campaign.folder import DamagedError, Folder, name_of
+from gonio.campaign.store import DamagedError, Folder, name_of
 from gonio.campaign.sweep import Campaign
 from gonio.experiment import Experiment, InputError, instruction_set
 from gonio.goniometer import Goniometer, Incidence, Progress, empty_sums, enter
 from gonio.measurement import Measurement
-from gonio.scene import Scene
 from gonio.tally import Tally, Wide
+from gonio.transport.scene import Scene
 from microsurfaces import VGrooves
 
 FORMAT = 2

@@ -89,8 +89,8 @@ def campaign_run(
     quiet
         Print nothing but errors.
     """
-    from gonio.campaign.engine import ClusterError, State
-    from gonio.campaign.engine import run as run_campaign
+    from gonio.campaign.running import ClusterError, State
+    from gonio.campaign.running import run as run_campaign
     from gonio.campaign.sweep import Campaign
     from gonio.experiment import InputError
 
@@ -333,8 +333,8 @@ def campaign_status(folder: Path, /) -> None:
     folder
         The campaign's folder.
     """
-    from gonio.campaign.engine import seconds_left
-    from gonio.campaign.folder import Folder, status
+    from gonio.campaign.running import seconds_left
+    from gonio.campaign.store import Folder, status
 
     found = status(Folder(folder))
     left = seconds_left(Folder(folder)) if found.runs else None
@@ -359,7 +359,7 @@ def campaign_verify(folder: Path, /) -> None:
     folder
         The campaign's folder.
     """
-    from gonio.campaign.folder import Folder, verify
+    from gonio.campaign.store import Folder, verify
 
     try:
         sound, sentences = verify(Folder(folder))
@@ -473,6 +473,6 @@ def campaign_publish(
 
 
 def _title_of(folder: Path) -> str:
-    from gonio.campaign.folder import Folder
+    from gonio.campaign.store import Folder
 
     return str(Folder(folder).manifest()["title"])

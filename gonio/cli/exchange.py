@@ -167,10 +167,10 @@ def _list_materials() -> None:
     """Print the materials that have a table of refractive indices, with their sources."""
     from rich.table import Table
 
-    from gonio.optics import citation, materials
+    from gonio.optics import citation, tabulated_materials
 
     table = Table.grid(padding=(0, 2, 0, 0))
-    for symbol, english in materials().items():
+    for symbol, english in tabulated_materials().items():
         table.add_row(f"  {symbol}", english, citation(symbol))
     say("Materials with a name: Conductor or Dielectric, name = ...\n", style="bold")
     standard_output().print(table)

@@ -29,10 +29,10 @@ from gonio.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from gonio.certificate import Certificate
-    from gonio.compare import Verdict
+    from gonio.comparison import Verdict
     from gonio.measurement import Measurement
     from gonio.models import Model
+    from gonio.self_check import Certificate
 
 
 def models_to_compare(
@@ -50,7 +50,7 @@ def models_to_compare(
 def judge(measurement: Measurement, models: Sequence[Model], floor: float = 0.01) -> list[Verdict]:
     """How each model compares with the light it speaks of; why one could not be compared is told."""
     from gonio import tables
-    from gonio.compare import compare
+    from gonio.comparison import compare
 
     verdicts = []
     for model in models:
@@ -258,8 +258,8 @@ def check(file: Path, /) -> None:
         The measurement, a .nc file.
     """
     from gonio import tables
-    from gonio.certificate import certify_file
     from gonio.experiment import InputError
+    from gonio.self_check import certify_file
 
     try:
         certificate = certify_file(file)
@@ -298,8 +298,8 @@ def validate(
     """
     from gonio import tables
     from gonio.experiment import InputError
-    from gonio.validate import CASES, Row, markdown
-    from gonio.validate import run as measured
+    from gonio.validation import CASES, Row, markdown
+    from gonio.validation import run as measured
     from microsurfaces.files import replacing
 
     if output is not None:

@@ -34,7 +34,7 @@ from gonio.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from gonio.compare import Verdict
+    from gonio.comparison import Verdict
     from gonio.experiment import Experiment
     from gonio.measurement import Measurement
     from gonio.models import Model
@@ -88,8 +88,8 @@ def run(
     quiet
         Print nothing but errors.
     """
-    from gonio.certificate import Certificate
     from gonio.experiment import InputError
+    from gonio.self_check import Certificate
 
     experiment = read_experiment(config, overrides, seed)
     if threads is not None and threads < 1:
@@ -151,7 +151,7 @@ def _write_numbers(experiment: Experiment, measurement: Measurement, folder: Pat
 def _show(measurement: Measurement, models: Sequence[Model], verdicts: Sequence[Verdict], folder: Path) -> list[str]:
     """Draw every picture that this measurement allows, and put them into a page; the names of the files."""
     from gonio import plots
-    from gonio.report import report
+    from gonio.reporting import report
 
     shown: list[Path] = []
     for name in PICTURES:

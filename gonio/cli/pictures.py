@@ -202,7 +202,7 @@ def _differences(
     measurement: Measurement, models: Sequence[Model], draw: Callable[..., Any]
 ) -> Iterator[tuple[str, Callable[..., Any]]]:
     """One picture a model."""
-    from gonio.compare import compare
+    from gonio.comparison import compare
     from gonio.experiment import InputError
 
     if not models:
@@ -298,7 +298,7 @@ def report(file: Path, /, *, models: ModelNames = (), output: Output = None) -> 
         The page; report.html beside the measurement if not given.
     """
     from gonio.experiment import InputError, models_for
-    from gonio.report import report as write
+    from gonio.reporting import report as write
 
     measurement, page = load_measurement(file), output or file.parent / "report.html"
     if page.suffix.lower() not in (".html", ".htm"):
@@ -344,7 +344,7 @@ def render(
     isotropic
         Declare that the surface looks the same from every azimuth of the light.
     """
-    from gonio.render import render as rendered
+    from gonio.rendering import render as rendered
 
     source: Measurement | Path = file
     if file.suffix.lower() != ".bsdf":

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from microsurfaces.recipe import did_you_mean
 
 if TYPE_CHECKING:
-    from gonio.formats.lobes import Lobes
+    from gonio.brdf import Lobes
     from gonio.formats.loss import Loss
     from gonio.measurement import Measurement
 
@@ -112,7 +112,7 @@ def export(measurement: Measurement | Lobes, path: str | os.PathLike[str], forma
 
     >>> gonio.export(measurement, "gold.exr").loss.sentence()  # doctest: +SKIP
     """
-    from gonio.formats.lobes import Lobes
+    from gonio.brdf import Lobes
 
     path = Path(path)
     chosen = FORMATS[_name(path, format)]

@@ -32,9 +32,9 @@ from typing import Any
 
 import numpy as np
 
+from gonio.brdf import NOMINAL, Basis, Floats, Lobes
 from gonio.detectors import HemisphereGrid
-from gonio.formats.lobes import NOMINAL, Basis, Floats, Lobes
-from gonio.formats.table import Table, decimal, degrees, detector_of, frame, incidences, title_of
+from gonio.formats.scattered import Table, decimal, degrees, detector_of, frame, incidences, title_of
 from microsurfaces.files import replacing
 
 ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")

@@ -32,9 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio import __version__
+from gonio.brdf import NOMINAL, Floats, Lobes
 from gonio.formats import json_arrays
-from gonio.formats.lobes import NOMINAL, Floats, Lobes
-from gonio.formats.table import Table, decimal, degrees, detector_of, incidences, title_of
+from gonio.formats.scattered import Table, decimal, degrees, detector_of, incidences, title_of
 from gonio.measurement import Measurement
 from microsurfaces.files import replacing
 

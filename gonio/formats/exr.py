@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.brdf import Floats, Lobes
 from gonio.detectors import HemisphereGrid
-from gonio.formats.lobes import Floats, Lobes
 from gonio.measurement import tabulated
 from gonio.sphere import Vectors, angles, direction, rotate_z
 from microsurfaces.files import replacing

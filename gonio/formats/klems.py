@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.brdf import Floats, Lobes
 from gonio.detectors import Klems, ringed
-from gonio.formats.lobes import Floats, Lobes
 from gonio.sphere import Vectors, direction
 
 

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from gonio.formats.lobes import Floats, Lobes
+from gonio.brdf import Floats, Lobes
 from gonio.sphere import direction
 
 FLOOR = 0.01

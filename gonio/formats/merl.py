@@ -31,9 +31,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gonio.brdf import Floats, Lobes
 from gonio.colour import PRIMARIES
 from gonio.detectors import HemisphereGrid
-from gonio.formats.lobes import Floats, Lobes
 from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z
 from microsurfaces.files import replacing
 

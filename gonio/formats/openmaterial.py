@@ -32,10 +32,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gonio.brdf import Floats, Lobes
 from gonio.detectors import HemisphereGrid
 from gonio.formats import json_arrays
-from gonio.formats.lobes import Floats, Lobes
-from gonio.formats.table import Table, decimal, degrees, detector_of, title_of
+from gonio.formats.scattered import Table, decimal, degrees, detector_of, title_of
 from gonio.measurement import Measurement
 from microsurfaces.files import replacing
 

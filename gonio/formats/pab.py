@@ -28,9 +28,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gonio.formats.lobes import NOMINAL, Basis, Floats, Lobes
+from gonio.brdf import NOMINAL, Basis, Floats, Lobes
 from gonio.formats.radiance import WHITE
-from gonio.formats.table import Table, decimal, detector_of, incidences, title_of
+from gonio.formats.scattered import Table, decimal, detector_of, incidences, title_of
 from gonio.formats.text import numbers
 from gonio.measurement import Measurement
 

@@ -31,10 +31,10 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
+from gonio.brdf import NOMINAL, Basis, Floats, Lobes
 from gonio.colour import xyz_of_rgb
 from gonio.detectors import HemisphereGrid
 from gonio.formats import klems, tensor_tree
-from gonio.formats.lobes import NOMINAL, Basis, Floats, Lobes
 from gonio.formats.text import numbers
 from gonio.sphere import Vectors
 from microsurfaces.files import replacing

@@ -32,8 +32,8 @@ from typing import Any
 
 import numpy as np
 
-from gonio.formats.lobes import Floats, Lobes
-from gonio.formats.table import Table, decimal, detector_of, frame, incidences, title_of
+from gonio.brdf import Floats, Lobes
+from gonio.formats.scattered import Table, decimal, detector_of, frame, incidences, title_of
 from microsurfaces.files import replacing
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "dphi", "wavelength", "brdf", "standard_error")

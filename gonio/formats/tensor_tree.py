@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.brdf import Floats, Lobes
 from gonio.formats.klems import mean_of_known
-from gonio.formats.lobes import Floats, Lobes
 from gonio.formats.text import numbers
 from gonio.sphere import Vectors, angles, rotate_z
 

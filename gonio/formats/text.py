@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from gonio.formats.lobes import Floats
+from gonio.brdf import Floats
 
 LARGEST = 1e15
 """Of the numbers that are read: more is damage, and its sums overflow."""

@@ -37,8 +37,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.formats.lobes import NOMINAL, Basis, Floats, Lobes
-from gonio.formats.table import decimal, grid_of_steps, title_of
+from gonio.brdf import NOMINAL, Basis, Floats, Lobes
+from gonio.formats.scattered import decimal, grid_of_steps, title_of
 from gonio.formats.text import numbers
 from gonio.interpolation import bracket, bracket_around
 from gonio.sphere import Vectors, angles, direction

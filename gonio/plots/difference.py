@@ -27,7 +27,7 @@ from gonio.plots.style import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from gonio.compare import Verdict
+    from gonio.comparison import Verdict
     from gonio.measurement import Measurement
 
 

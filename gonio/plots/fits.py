@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from gonio.compare import predicted
+from gonio.comparison import predicted
 from gonio.plots import style
 from gonio.plots.slices import ANGLE, Cut, angle_axis, mark_slice, value_limits
 from gonio.plots.style import (

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from gonio.brdf import Lobes
 from gonio.colour import encoded, rgb_weights, xyz_of_rgb
 from gonio.detectors import HemisphereGrid, Klems
-from gonio.formats.lobes import Lobes
 from gonio.plots import lobe_files, patches, style
 from gonio.plots.lobe_scene import Ground, Scale, Shell, View, draw, open_window, window_axes
 from gonio.plots.style import (

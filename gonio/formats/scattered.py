@@ -20,8 +20,8 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gonio.brdf import NOMINAL, Basis, Floats, Lobes
 from gonio.detectors import HemisphereGrid
-from gonio.formats.lobes import NOMINAL, Basis, Floats, Lobes
 from gonio.interpolation import bracket, bracket_around
 from gonio.measurement import Measurement, tabulated
 from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z

@@ -9,12 +9,12 @@ import numpy as np
 
 from gonio import tables
 from gonio.detectors import Klems
-from gonio.optics import Conductor, Dielectric, materials
+from gonio.optics import Conductor, Dielectric, tabulated_materials
 
 if TYPE_CHECKING:
-    from gonio.certificate import Certificate
-    from gonio.compare import Verdict
+    from gonio.comparison import Verdict
     from gonio.measurement import Measurement
+    from gonio.self_check import Certificate
 
 GREEN = 550.0
 """The wavelength in nm whose neighbour is told of where one has to do."""
@@ -91,7 +91,7 @@ def _relief(measurement: Measurement) -> str:
 def _substance(measurement: Measurement) -> str:
     material = measurement.material
     if isinstance(material, Conductor | Dielectric) and material.name is not None:
-        return materials().get(material.name, material.name)
+        return tabulated_materials().get(material.name, material.name)
     return "an unknown material" if material is None else f"the material {type(material).__name__}"
 
 

@@ -3,11 +3,11 @@
 Coordinates are in cells, x from 0 to nx and y from 0 to ny; heights in µm above the middle of the relief; slopes in µm
 per cell. Everything repeats periodically, whatever the number of nodes. Three tables:
 
-* `tops`: the highest point of every node of a quadtree over the cells (Tevs, Ihrke and Seidel 2008,
+* `max_mipmap`: the highest point of every node of a quadtree over the cells (Tevs, Ihrke and Seidel 2008,
   doi:10.1145/1342250.1342279). A ray that passes above a node cannot hit anything in it.
-* `dilated`: the same of a node and its neighbours. A bundle of parallel rays as wide as a node, whose middle passes
+* `dilated_mipmap`: the same of a node and its neighbours. A bundle of parallel rays as wide as a node, whose middle passes
   above that, cannot hit anything either.
-* `codes`: certified escape. For blocks of 4 x 4 cells and 16 sectors of azimuth, a slope: a ray that leaves the relief
+* `horizon_code`: certified escape. For blocks of 4 x 4 cells and 16 sectors of azimuth, a slope: a ray that leaves the relief
   anywhere in the block, toward the sector and more steeply than that, hits nothing.
 
 All of them are rounded to the safe side.
@@ -31,10 +31,10 @@ Floats = NDArray[np.float64]
 Float32s = NDArray[np.float32]
 
 BLOCK = 2
-"""Level of the quadtree, 4 x 4 cells, that `codes` speaks of, and below which rays go from cell to cell."""
+"""Level of the quadtree, 4 x 4 cells, that `horizon_code` speaks of, and below which rays go from cell to cell."""
 
 SECTORS = 16
-"""Sectors of azimuth, numbered by what is cheap to find: see `sector`."""
+"""Sectors of azimuth, numbered by what is cheap to find: see `horizon_sector`."""
 
 NEAR = 2
 """The near part of a bound looks at slopes, up to 2^NEAR nodes away; beyond it heights are compared."""
@@ -51,7 +51,7 @@ _CERTAIN = np.concatenate([2.0 ** ((np.arange(255) - 128) / 16), [np.inf]])
 """The slope, in units of the rms slope, that a code stands for: 4 % from one to the next, from 1/256 to 240."""
 
 
-class Grid(NamedTuple):
+class Accelerator(NamedTuple):
     """A height field with its tables, ready to be traced."""
 
     heights: Floats
@@ -60,36 +60,46 @@ class Grid(NamedTuple):
     """The highest of them."""
     spacing: tuple[float, float]
     """µm a cell along x and y."""
-    tops: Float32s
+    max_mipmap: Float32s
     """Highest point of every node, level after level, row after row."""
     offsets: NDArray[np.int64]
-    """Where each level begins in `tops`, and where the last ends."""
+    """Where each level begins in `max_mipmap`, and where the last ends."""
     widths: NDArray[np.int64]
     """Nodes in a row of each level."""
-    dilated: Float32s
+    dilated_mipmap: Float32s
     """Highest point of every node and its neighbours, from level 1 on."""
-    codes: NDArray[np.uint8]
-    """(rows, columns, sectors): the certified slope of every block, as an index into `certain`."""
-    certain: Floats
+    horizon_code: NDArray[np.uint8]
+    """(rows, columns, sectors): the certified slope of every block, as an index into `horizon_slope2`."""
+    horizon_slope2: Floats
     """(256,): squares of slopes, (µm per cell)²; the last is infinite."""
 
     @classmethod
-    def of(cls, relief: HeightField) -> Grid:
+    def of(cls, relief: HeightField) -> Accelerator:
         """The tables of `relief`: about 0.2 s per million nodes on two cores."""
         heights = np.pad(relief.heights, ((0, 1), (0, 1)), mode="wrap")
         heights -= (heights.min() + heights.max()) / 2
         margin = ROUNDING * float(np.abs(heights).max())
-        tops, offsets, widths = _pyramid(heights, margin)
+        max_mipmap, offsets, widths = _pyramid(heights, margin)
         bottoms = -_pyramid(-heights, margin)[0]
-        slopes = _certified_slopes(heights, tops, bottoms, offsets, widths)
+        slopes = _certified_slopes(heights, max_mipmap, bottoms, offsets, widths)
         unit = (
             float(np.sqrt(np.mean(np.diff(heights, axis=0)[:, :-1] ** 2 + np.diff(heights, axis=1)[:-1] ** 2))) or 1.0
         )
-        certain = (unit * _CERTAIN * (1 + MARGIN)) ** 2
-        codes = np.empty((*slopes.shape[1:], SECTORS), np.uint8)
-        _in_rows(_encode, len(codes), slopes, unit * _CERTAIN, codes)
-        dilated = _dilated(tops, offsets, widths, heights.shape)
-        return cls(heights, float(heights.max()), relief.spacing, tops, offsets, widths, dilated, codes, certain)
+        horizon_slope2 = (unit * _CERTAIN * (1 + MARGIN)) ** 2
+        horizon_code = np.empty((*slopes.shape[1:], SECTORS), np.uint8)
+        _in_rows(_encode, len(horizon_code), slopes, unit * _CERTAIN, horizon_code)
+        dilated_mipmap = _dilated(max_mipmap, offsets, widths, heights.shape)
+        return cls(
+            heights,
+            float(heights.max()),
+            relief.spacing,
+            max_mipmap,
+            offsets,
+            widths,
+            dilated_mipmap,
+            horizon_code,
+            horizon_slope2,
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -99,12 +109,12 @@ class Grid(NamedTuple):
     def certainty(self, dx: float, dy: float, dz: float) -> float:
         """Share of the blocks from which light in a direction, per cell along x and y, is certain to escape."""
         # The last code is never certain, not even straight up.
-        enough = np.append(dz * abs(dz) > self.certain[:-1] * (dx * dx + dy * dy), False)
-        return float(np.mean(enough[self.codes[..., sector(dx, dy)]]))
+        enough = np.append(dz * abs(dz) > self.horizon_slope2[:-1] * (dx * dx + dy * dy), False)
+        return float(np.mean(enough[self.horizon_code[..., horizon_sector(dx, dy)]]))
 
 
 @kernel
-def sector(dx, dy):  # type: ignore[no-untyped-def]
+def horizon_sector(dx, dy):  # type: ignore[no-untyped-def]
     """The sector of azimuth of a direction: one bit each for the signs of x and y, |y| > |x|, and the nearer octant."""
     ax, ay = abs(dx), abs(dy)
     steep = min(ax, ay) > TAN_PI_8 * max(ax, ay)
@@ -116,7 +126,7 @@ def _sides() -> NDArray[np.int64]:
     places = (np.arange(SECTORS) + 0.5) * (2 * math.pi / SECTORS)
     sides = np.empty(SECTORS, np.int64)
     for place, angle in enumerate(places):
-        sides[sector(math.cos(angle), math.sin(angle))] = place
+        sides[horizon_sector(math.cos(angle), math.sin(angle))] = place
     return sides
 
 
@@ -139,12 +149,14 @@ def _pyramid(heights: Floats, margin: float) -> tuple[Float32s, NDArray[np.int64
     """Highest points of the nodes of all levels, with where each level begins and how wide it is."""
     shapes = _levels(heights.shape[0] - 1, heights.shape[1] - 1)
     offsets = np.cumsum([0] + [rows * columns for rows, columns in shapes])
-    tops = np.empty(offsets[-1], np.float32)
-    levels = [tops[start:stop].reshape(s) for start, stop, s in zip(offsets[:-1], offsets[1:], shapes, strict=True)]
+    max_mipmap = np.empty(offsets[-1], np.float32)
+    levels = [
+        max_mipmap[start:stop].reshape(s) for start, stop, s in zip(offsets[:-1], offsets[1:], shapes, strict=True)
+    ]
     _in_rows(_cells, len(levels[0]), heights, margin, levels[0])
     for finer, coarser in itertools.pairwise(levels):
         _in_rows(_merge, len(coarser), finer, coarser)
-    return tops, offsets, np.array([columns for _, columns in shapes])
+    return max_mipmap, offsets, np.array([columns for _, columns in shapes])
 
 
 def _in_rows(job, rows: int, *arguments) -> None:  # type: ignore[no-untyped-def]
@@ -173,11 +185,13 @@ def _merge(first, last, finer, out):  # type: ignore[no-untyped-def]
             out[j, i] = max(max(finer[below, left], finer[below, right]), max(finer[above, left], finer[above, right]))
 
 
-def _dilated(tops: Float32s, offsets: NDArray[np.int64], widths: NDArray[np.int64], shape: tuple[int, int]) -> Float32s:
+def _dilated(
+    max_mipmap: Float32s, offsets: NDArray[np.int64], widths: NDArray[np.int64], shape: tuple[int, int]
+) -> Float32s:
     """Highest point of every node and those that a bundle about its middle can reach, from level 1 on."""
     parts = []
     for level in range(1, len(widths)):
-        nodes = tops[offsets[level] : offsets[level + 1]].reshape(-1, widths[level])
+        nodes = max_mipmap[offsets[level] : offsets[level + 1]].reshape(-1, widths[level])
         for axis, cells in enumerate(size - 1 for size in shape):
             # The last node may be narrower than the bundle.
             reach = 1 if cells % (1 << level) == 0 else 2
@@ -188,7 +202,7 @@ def _dilated(tops: Float32s, offsets: NDArray[np.int64], widths: NDArray[np.int6
 
 def _certified_slopes(
     heights: Floats,
-    tops: Float32s,
+    max_mipmap: Float32s,
     bottoms: Float32s,
     offsets: NDArray[np.int64],
     widths: NDArray[np.int64],
@@ -206,13 +220,13 @@ def _certified_slopes(
         level -= 1
     shape = _levels(ny, nx)[level]
     lows = bottoms[offsets[level] : offsets[level + 1]].reshape(shape)
-    slopes = np.repeat(((tops[-1] - lows) / (1 << level + NEAR))[None], SECTORS, axis=0)
+    slopes = np.repeat(((max_mipmap[-1] - lows) / (1 << level + NEAR))[None], SECTORS, axis=0)
     while level > BLOCK:
         level -= 1
         coarser, slopes = slopes, np.empty((SECTORS, *_levels(ny, nx)[level]), np.float32)
         near = float(1 << level + NEAR)
         part = slice(offsets[level], offsets[level + 1])
-        nodes = (values[part].reshape(slopes.shape[1:]) for values in (tops, bottoms))
+        nodes = (values[part].reshape(slopes.shape[1:]) for values in (max_mipmap, bottoms))
         _in_rows(_ring, slopes.shape[1], *nodes, level, near, _boxes(near, 2 * near), (ny, nx), coarser, slopes)
     steepest = np.empty_like(slopes)
     _in_rows(_steepest, slopes.shape[1], heights, _sides(), steepest)
@@ -221,13 +235,13 @@ def _certified_slopes(
 
 
 @kernel
-def _ring(first, last, tops, bottoms, level, near, boxes, cells, coarser, out):  # type: ignore[no-untyped-def]
+def _ring(first, last, max_mipmap, bottoms, level, near, boxes, cells, coarser, out):  # type: ignore[no-untyped-def]
     """The bound of one ring, or that of the larger ones if it is higher."""
     for k in range(out.shape[0]):
         left, right, down, up = boxes[k]
         for j in range(first, last):
             for i in range(out.shape[2]):
-                top = _highest(i, j, level, left, right, down, up, cells, tops)
+                top = _highest(i, j, level, left, right, down, up, cells, max_mipmap)
                 out[k, j, i] = max((top - bottoms[j, i]) / near, coarser[k, j >> 1, i >> 1])
 
 

@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.campaign.folder import Folder, paths_of
+from gonio.campaign.store import Folder, paths_of
 
 if TYPE_CHECKING:
     from distributed import Client

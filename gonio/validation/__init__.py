@@ -42,9 +42,9 @@ from gonio.models import (
 from gonio.models.averages import TOLERANCE
 from gonio.models.cook_torrance import NORMALISATIONS
 from gonio.optics import Conductor, Lambertian, Material, Mirror
-from gonio.scene import Scene
 from gonio.sphere import direction
 from gonio.tally import UNIT
+from gonio.transport.scene import Scene
 from microsurfaces import Cylinders, Gaussian, HeightField, Mesh, VGrooves
 
 Array = NDArray[np.float64]

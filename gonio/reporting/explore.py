@@ -27,12 +27,12 @@ from gonio.plots.style import (
     hue,
     some_wavelengths,
 )
-from gonio.report.words import GREEN
+from gonio.reporting.words import GREEN
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from gonio.compare import Verdict
+    from gonio.comparison import Verdict
     from gonio.measurement import Measurement
 
 Array = NDArray[np.float64]

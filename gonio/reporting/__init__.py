@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element
 
 from gonio import __version__, plots, tables
-from gonio.certificate import Certificate, certify
-from gonio.compare import Verdict, compare
+from gonio.comparison import Verdict, compare
 from gonio.fitting import rank
 from gonio.optics import Conductor, Dielectric, citation
-from gonio.report.explore import explored
-from gonio.report.markup import clean, data, page, paragraphs, script, table, tag
-from gonio.report.words import best, errors, summary
+from gonio.reporting.explore import explored
+from gonio.reporting.markup import clean, data, page, paragraphs, script, table, tag
+from gonio.reporting.words import best, errors, summary
+from gonio.self_check import Certificate, certify
 from microsurfaces.files import replacing
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def _plotly() -> str:
 
 
 def _part(name: str) -> str:
-    return resources.files("gonio.report").joinpath(name).read_text(encoding="utf-8")
+    return resources.files("gonio.reporting").joinpath(name).read_text(encoding="utf-8")
 
 
 def _title(measurement: Measurement) -> str:

@@ -15,36 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio import grid_transport
-from gonio.detectors import Detector
-from gonio.paths import (
-    ABSORBED,
-    ESCAPED,
-    IN_FLIGHT,
-    LAMBERTIAN,
-    LOST,
-    MAX_CROSSINGS,
-    TRUNCATED,
-    Catch,
-    Lamp,
-    Matter,
-    balance,
-    bins_of,
-    collect,
-    cosine_direction,
-    incident,
-    integer,
-    mirrored,
-    replicate_turn,
-    sight,
-    start,
-    total_up,
-    unit,
-    weigh,
-)
 from gonio.randomness import kernel, philox
-from gonio.scene import Scene
 from gonio.tally import UNIT
+from gonio.transport.light import LAMBERTIAN, attenuate, cosine_direction, mirrored, unit
+from gonio.transport.scene import Scene
+from gonio.transport.scoring import Scores, balance, integer, score, score_apertures, total_up
+from gonio.transport.setup import Setup
+from gonio.transport.source import incident, replicate_turn, start
+from gonio.transport.termination import ABSORBED, ESCAPED, IN_FLIGHT, LOST, MAX_CROSSINGS, TRUNCATED
 
 WAVE = 32_768
 """Paths in flight in one worker: large enough to hide the interpreter, small enough for the second-level cache."""
@@ -54,7 +32,7 @@ CLIPPED = 1e-3
 a rounding error: it goes on. Anywhere else it has come from under the surface and is lost."""
 
 
-class Wave(NamedTuple):
+class PathState(NamedTuple):
     """Paths in flight: the first `active` rows of every array."""
 
     origins: NDArray[np.float32]
@@ -63,84 +41,71 @@ class Wave(NamedTuple):
     """How far the next hit may be: to the far side of the seam, or to the top."""
     weights: NDArray[np.float64]
     paths: NDArray[np.int64]
-    members: NDArray[np.int32]
+    slots: NDArray[np.int32]
     """Which replicate of the group a path belongs to."""
     hits: NDArray[np.int32]
     crossings: NDArray[np.int32]
-    fates: NDArray[np.int8]
+    terminations: NDArray[np.int8]
     """What the last event did to a path: still in flight, escaped, truncated or lost."""
     struck: NDArray[np.int64]
     """Scratch: the rows of the paths that have just been reflected, and then their cosines of incidence."""
     cosines: NDArray[np.float64]
     arrivals: NDArray[np.int64]
-    """Scratch: the row of every path that has just escaped, and the record of `Catch.bins` that it adds to."""
+    """Scratch: the row of every path that has just escaped, and the record of `Scores.bins` that it adds to."""
 
 
 def trace(
     scene: Scene,
-    lamp: Lamp,
-    matter: Matter,
-    detector: Detector,
-    phi_i: float,
+    setup: Setup,
     replicates: range,
     paths: int,
-    catch: Catch,
+    scores: Scores,
     advanced: Callable[[int, int], bool],
-    wave: int = WAVE,
+    wave: int,
 ) -> bool:
-    """Trace all `paths` of each of a group of replicates into `catch`, which holds nothing yet.
-
-    The replicates advance over the sample side by side: as many times more rays share what the caches hold of it.
-    `advanced(paths, rays)` is told after every wave what was newly done; when it returns False the group is given up,
-    and so is the answer.
-    """
-    if scene.grid is not None:
-        return grid_transport.trace(
-            scene.grid,
-            lamp,
-            matter,
-            detector,
-            phi_i,
-            replicates,
-            paths,
-            catch,
-            advanced,
-            min(wave, grid_transport.LANES),
-        )
+    """As `transport.trace`, over a mesh, with `wave` paths in flight."""
+    source, optics, bins = setup
     total = len(replicates) * paths
-    bins = bins_of(detector, phi_i)
-    on_grid = bool(bins.sector_edges.size)
-    state = _empty_wave(min(wave, total), len(matter.eta))
-    turns = np.array([replicate_turn(replicate, lamp.key) for replicate in replicates])
+    ringed = bool(bins.sector_edges.size)
+    state = _empty_wave(min(wave, total), len(optics.eta))
+    turns = np.array([replicate_turn(replicate, source.key) for replicate in replicates])
     active = launched = 0
     while active or launched < total:
         room = min(len(state.paths) - active, total - launched)
         if room and active <= len(state.paths) // 2:
-            _launch(state, active, launched, room, paths, replicates.start, turns, lamp, scene.tile)
+            _launch(state, active, launched, room, paths, replicates.start, turns, source, scene.tile)
             active, launched = active + room, launched + room
         found = scene.intersect(state.origins[:active], state.directions[:active], state.reach[:active])
         hits = (found["primID"], found["tfar"], found["u"], found["v"])
         struck = _move(
-            state, active, hits, (scene.normals, scene.corner_normals), scene.tile, matter, lamp, replicates.start
+            state, active, hits, (scene.normals, scene.corner_normals), scene.tile, optics, source, replicates.start
         )
-        weigh(state.struck, struck, state.cosines, matter, state.weights, state.hits, state.fates)
-        ended = (active, tuple(state.directions.T), state.fates, state.weights, state.paths, state.members, state.hits)
-        if on_grid:
-            collect(*ended, bins, lamp, turns, catch.bins, state.arrivals)
+        attenuate(state.struck, struck, state.cosines, optics, state.weights, state.hits, state.terminations)
+        ended = (
+            active,
+            tuple(state.directions.T),
+            state.terminations,
+            state.weights,
+            state.paths,
+            state.slots,
+            state.hits,
+        )
+        if ringed:
+            score(*ended, bins, source, turns, scores.bins, state.arrivals)
         else:
-            sight(*ended, bins, lamp, turns, catch.bins)
-        left = _settle(state, active, scene.tile, catch.ledger)
+            score_apertures(*ended, bins, source, turns, scores.bins)
+        left = _settle(state, active, scene.tile, scores.ledger)
         if not advanced(active - left, active):
             return False
         active = left
-    if on_grid:
-        total_up(catch.bins)
-    balance(catch, paths)
+    if ringed:
+        total_up(scores.bins)
+    balance(scores, paths)
     return True
 
 
-def _empty_wave(size: int, wavelengths: int) -> Wave:
-    return Wave(
+def _empty_wave(size: int, wavelengths: int) -> PathState:
+    return PathState(
         np.zeros((size, 3), np.float32),
         np.zeros((size, 3), np.float32),
         np.zeros(size, np.float32),
@@ -157,37 +122,37 @@ def _empty_wave(size: int, wavelengths: int) -> Wave:
 
 
 @kernel
-def _launch(wave, active, first, count, paths, first_replicate, turns, lamp, tile):  # type: ignore[no-untyped-def]
+def _launch(state, active, first, count, paths, first_replicate, turns, source, tile):  # type: ignore[no-untyped-def]
     """Start `count` paths on the plane above the tile.
 
     A replicate starts one in each of `paths` equal cells along a Morton curve; all replicates of the group start in a
     cell before the first goes on to the next.
     """
-    origins, directions, weights = wave.origins, wave.directions, wave.weights
-    path, member = divmod(first, turns.size)
-    steady = lamp.beam == 0 and lamp.patch[1] == 0 and not lamp.average
-    dx, dy, dz = incident(path, 0, 0.0, lamp)
+    origins, directions, weights = state.origins, state.directions, state.weights
+    path, slot = divmod(first, turns.size)
+    steady = source.source_sin2 == 0 and source.patch[1] == 0 and not source.average
+    dx, dy, dz = incident(path, 0, 0.0, source)
     for i in range(active, active + count):
-        replicate = first_replicate + member
+        replicate = first_replicate + slot
         # The four words of a block serve four replicates.
-        if i == active or member == 0 or replicate % 4 == 0:
-            words = philox(path, path >> 32, replicate // 4, 0, lamp.key[0], lamp.key[1])
+        if i == active or slot == 0 or replicate % 4 == 0:
+            words = philox(path, path >> 32, replicate // 4, 0, source.key[0], source.key[1])
         along_x, along_y = start(path, paths, words[replicate % 4])
         x, y = (2 * along_x - 1) * tile.half_x, (2 * along_y - 1) * tile.half_y
         if not steady:
-            dx, dy, dz = incident(path, replicate, turns[member], lamp)
+            dx, dy, dz = incident(path, replicate, turns[slot], source)
         origins[i, 0], origins[i, 1], origins[i, 2] = x, y, tile.top
         directions[i, 0], directions[i, 1], directions[i, 2] = dx, dy, dz
-        wave.reach[i] = _to_edge(x, y, dx, dy, tile.outer_x, tile.outer_y)
+        state.reach[i] = _to_edge(x, y, dx, dy, tile.outer_x, tile.outer_y)
         for w in range(weights.shape[1]):
             weights[i, w] = 1.0
-        wave.paths[i] = path
-        wave.members[i] = member
-        wave.hits[i] = 0
-        wave.crossings[i] = 0
-        member += 1
-        if member == turns.size:
-            path, member = path + 1, 0
+        state.paths[i] = path
+        state.slots[i] = slot
+        state.hits[i] = 0
+        state.crossings[i] = 0
+        slot += 1
+        if slot == turns.size:
+            path, slot = path + 1, 0
 
 
 @kernel
@@ -225,7 +190,7 @@ def _wrapped(position, half):  # type: ignore[no-untyped-def]
 def _pass_on(x, y, z, dx, dy, dz, reach, tile):  # type: ignore[no-untyped-def]
     """A ray that meets nothing before the far side of the seam escapes at the top or re-enters opposite.
 
-    Returns its fate and where it goes on.
+    Returns its termination and where it goes on.
     """
     if dz > 0 and z + reach * dz >= tile.top:
         return ESCAPED, x, y, z
@@ -240,21 +205,21 @@ def _pass_on(x, y, z, dx, dy, dz, reach, tile):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _move(wave, active, found, facets, tile, matter, lamp, first_replicate):  # type: ignore[no-untyped-def]
-    """Move every path past its next event, and note its fate. Returns how many have been reflected."""
+def _move(state, active, found, facets, tile, optics, source, first_replicate):  # type: ignore[no-untyped-def]
+    """Move every path past its next event, and note its termination. Returns how many have been reflected."""
     primitives, distances, us, vs = found
     normals, corner_normals = facets
-    origins, directions, hits, crossings = wave.origins, wave.directions, wave.hits, wave.crossings
+    origins, directions, hits, crossings = state.origins, state.directions, state.hits, state.crossings
     struck = 0
     for i in range(active):
         x, y, z = np.float64(origins[i, 0]), np.float64(origins[i, 1]), np.float64(origins[i, 2])
         dx, dy, dz = np.float64(directions[i, 0]), np.float64(directions[i, 1]), np.float64(directions[i, 2])
         primitive = primitives[i]
         if primitive < 0:
-            fate, x, y, z = _pass_on(x, y, z, dx, dy, dz, np.float64(wave.reach[i]), tile)
+            termination, x, y, z = _pass_on(x, y, z, dx, dy, dz, np.float64(state.reach[i]), tile)
             crossings[i] += 1
         else:
-            fate = IN_FLIGHT
+            termination = IN_FLIGHT
             u, v = np.float64(us[i]), np.float64(vs[i])
             nx, ny = np.float64(normals[primitive, 0]), np.float64(normals[primitive, 1])
             nz = np.float64(normals[primitive, 2])
@@ -265,7 +230,7 @@ def _move(wave, active, found, facets, tile, matter, lamp, first_replicate):  # 
             if dx * nx + dy * ny + dz * nz >= 0:
                 crossings[i] += 1
                 if min(u, v, 1 - u - v) > CLIPPED:
-                    fate = LOST
+                    termination = LOST
             else:
                 hits[i] += 1
                 crossings[i] = 0
@@ -279,11 +244,11 @@ def _move(wave, active, found, facets, tile, matter, lamp, first_replicate):  # 
                     )
                     if _serves(sx, sy, sz, dx, dy, dz, nx, ny, nz):
                         nx, ny, nz = sx, sy, sz
-                wave.struck[struck], wave.cosines[struck] = i, min(1.0, -(dx * nx + dy * ny + dz * nz))
+                state.struck[struck], state.cosines[struck] = i, min(1.0, -(dx * nx + dy * ny + dz * nz))
                 struck += 1
-                if matter.kind == LAMBERTIAN:
-                    path, replicate = wave.paths[i], first_replicate + wave.members[i]
-                    r0, r1, _, _ = philox(path, path >> 32, replicate, hits[i], lamp.key[0], lamp.key[1])
+                if optics.kind == LAMBERTIAN:
+                    path, replicate = state.paths[i], first_replicate + state.slots[i]
+                    r0, r1, _, _ = philox(path, path >> 32, replicate, hits[i], source.key[0], source.key[1])
                     dx, dy, dz = cosine_direction(r0, r1, nx, ny, nz)
                 else:
                     dx, dy, dz = mirrored(dx, dy, dz, nx, ny, nz)
@@ -291,43 +256,43 @@ def _move(wave, active, found, facets, tile, matter, lamp, first_replicate):  # 
                 scale = 1.5 - 0.5 * (dx * dx + dy * dy + dz * dz)
                 directions[i, 0], directions[i, 1], directions[i, 2] = dx * scale, dy * scale, dz * scale
         origins[i, 0], origins[i, 1], origins[i, 2] = x, y, z
-        if fate == IN_FLIGHT:
+        if termination == IN_FLIGHT:
             horizontal = directions[i, 2] == 0 and z >= tile.top
             if horizontal or crossings[i] >= MAX_CROSSINGS:
-                fate = TRUNCATED
-        wave.fates[i] = fate
+                termination = TRUNCATED
+        state.terminations[i] = termination
     return struck
 
 
 @kernel
-def _settle(wave, active, tile, ledger):  # type: ignore[no-untyped-def]
+def _settle(state, active, tile, ledger):  # type: ignore[no-untyped-def]
     """Enter in the ledger what has ended and close up the rest at the front. Returns how many are still in flight.
 
     What a path lost on its way is absorbed; what it still carries when it ends is truncated or lost, or has escaped.
     """
-    origins, directions, weights = wave.origins, wave.directions, wave.weights
+    origins, directions, weights = state.origins, state.directions, state.weights
     left = 0
     for i in range(active):
-        fate = wave.fates[i]
-        if fate != IN_FLIGHT:
-            member = wave.members[i]
+        termination = state.terminations[i]
+        if termination != IN_FLIGHT:
+            slot = state.slots[i]
             for w in range(weights.shape[1]):
                 carried = integer(weights[i, w])
-                ledger[member, ABSORBED, w] += UNIT - carried
-                if fate >= 0:
-                    ledger[member, fate, w] += carried
+                ledger[slot, ABSORBED, w] += UNIT - carried
+                if termination >= 0:
+                    ledger[slot, termination, w] += carried
             continue
         for axis in range(3):
             origins[left, axis] = origins[i, axis]
             directions[left, axis] = directions[i, axis]
         for w in range(weights.shape[1]):
             weights[left, w] = weights[i, w]
-        wave.paths[left] = wave.paths[i]
-        wave.members[left] = wave.members[i]
-        wave.hits[left] = wave.hits[i]
-        wave.crossings[left] = wave.crossings[i]
+        state.paths[left] = state.paths[i]
+        state.slots[left] = state.slots[i]
+        state.hits[left] = state.hits[i]
+        state.crossings[left] = state.crossings[i]
         x, y = np.float64(origins[left, 0]), np.float64(origins[left, 1])
         dx, dy = np.float64(directions[left, 0]), np.float64(directions[left, 1])
-        wave.reach[left] = _to_edge(x, y, dx, dy, tile.outer_x, tile.outer_y)
+        state.reach[left] = _to_edge(x, y, dx, dy, tile.outer_x, tile.outer_y)
         left += 1
     return left

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from gonio.compare import ENOUGH_HITS
+from gonio.comparison import ENOUGH_HITS
 from gonio.detectors import Apertures, HemisphereGrid, Klems
 from gonio.measurement import FATES, Measurement, load
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror, fresnel_conductor

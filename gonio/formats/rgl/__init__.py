@@ -48,8 +48,8 @@ from typing import Any, BinaryIO, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gonio.brdf import NOMINAL, Floats, Lobes
 from gonio.detectors import HemisphereGrid
-from gonio.formats.lobes import NOMINAL, Floats, Lobes
 from gonio.sphere import Vectors, angles, direction, half_vector, reflect
 from microsurfaces.files import replacing
 
