@@ -15,7 +15,7 @@ from bench import in_turn, table, timed
 
 import gonio
 import microsurfaces as ms
-from gonio.campaign import engine
+from gonio.campaign import running
 from gonio.campaign.store import Folder
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
@@ -41,10 +41,10 @@ HEAVY = Experiment(
 RUN = """
 import resource, sys
 from pathlib import Path
-from gonio.campaign import engine
+from gonio.campaign import running
 from gonio.campaign.sweep import Campaign
 if __name__ == "__main__":
-    engine.run(Campaign.read(sys.argv[1]), sys.argv[2], workers=2)
+    running.run(Campaign.read(sys.argv[1]), sys.argv[2], workers=2)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
 """
 SWEPT = """
@@ -82,7 +82,7 @@ def _overhead() -> tuple[str, str, str]:
 
     def run() -> None:
         with _folder() as folder:
-            engine.run(campaign, folder)
+            running.run(campaign, folder)
 
     def measure() -> None:
         for experiment in campaign.experiments:
@@ -100,7 +100,7 @@ def _workers() -> tuple[str, str, str]:
 
     def run(workers: int) -> None:
         with _folder() as folder:
-            engine.run(campaign, folder, workers=workers, threads=1)
+            running.run(campaign, folder, workers=workers, threads=1)
 
     times = in_turn({"two": lambda: run(2), "one": lambda: run(1)}, 3)
     ratio = times["two"].times_faster(times["one"])

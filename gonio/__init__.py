@@ -18,21 +18,23 @@ if TYPE_CHECKING:
     from gonio.campaign.dataset import open_campaign
     from gonio.comparison import Verdict, compare
     from gonio.detectors import Apertures, HemisphereGrid, Klems
-    from gonio.experiment import Experiment, InputError
+    from gonio.experiment import Experiment
     from gonio.fitting import fit
     from gonio.formats import export, load
     from gonio.goniometer import Goniometer
-    from gonio.measurement import Measurement, save
+    from gonio.measurement import Measurement
     from gonio.models import CookTorrance, Lambert, Microfacet
+    from gonio.netcdf import save
     from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
     from gonio.self_check import certify
+    from gonio.toml_files import InputError
     from gonio.transport.scene import Scene
 
 __version__ = "0.1.0"
 
 _HOME = {
     "Apertures": "gonio.detectors",
-    "InputError": "gonio.experiment",
+    "InputError": "gonio.toml_files",
     "Conductor": "gonio.optics",
     "CookTorrance": "gonio.models",
     "Dielectric": "gonio.optics",
@@ -53,7 +55,7 @@ _HOME = {
     "fit": "gonio.fitting",
     "load": "gonio.formats",
     "open_campaign": "gonio.campaign.dataset",
-    "save": "gonio.measurement",
+    "save": "gonio.netcdf",
 }
 
 _MODULES = ("formats", "models", "plots")

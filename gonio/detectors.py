@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, TypeAdapter, model_validator
 
 from gonio.sphere import Vectors, angles, direction
 from microsurfaces.recipe import Positive, recipe
@@ -304,3 +304,6 @@ def cone_quadrature(theta: Floats, phi: Floats, half_angle: float, nodes: int) -
 
 Detector = Annotated[HemisphereGrid | Apertures | Klems, Field(discriminator="kind")]
 """Every detector there is."""
+
+DETECTOR: TypeAdapter[Detector] = TypeAdapter(Detector)
+"""Reads and writes any detector."""

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import json
-import re
-import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -15,29 +12,18 @@ import numpy as np
 import tomli_w
 from pydantic import Field, TypeAdapter, ValidationError, field_validator, model_validator
 
-from gonio.detectors import Klems
 from gonio.goniometer import Goniometer, Progress
 from gonio.html_drawing import plane_of_incidence
 from gonio.measurement import Measurement
-from gonio.models import Model, matching
 from gonio.models.specimen import Specimen, model_class
 from gonio.optics import Conductor, Dielectric, Material, index_table
 from gonio.self_check import certify
 from gonio.tally import MAX_PATHS
+from gonio.toml_files import InputError, kind_first, override_value, read_toml, resolve_paths
 from gonio.transport.scene import Scene
 from microsurfaces import HeightField, Mesh, Surface, VGrooves
-from microsurfaces.files import replacing
-from microsurfaces.html_card import card
-from microsurfaces.recipe import from_toml, recipe, sentences
-
-
-class InputError(ValueError):
-    """What was given cannot be run. `sentences` has one for each mistake: key, value, what was expected, what to do."""
-
-    def __init__(self, *sentences: str) -> None:
-        """An error of these sentences."""
-        super().__init__("\n".join(sentences))
-        self.sentences = sentences
+from microsurfaces.html_card import html_card
+from microsurfaces.recipe import recipe, sentences
 
 
 @recipe
@@ -126,14 +112,14 @@ class Experiment:
             "paths": f"{paths:,} an incidence, of {self.realisations} specimen{'s' * (self.realisations > 1)}",
             "seed": self.seed,
         }
-        return card(self.title or "Experiment", rows, plane_of_incidence(lamps))
+        return html_card(self.title or "Experiment", rows, plane_of_incidence(lamps))
 
     def to_dict(self) -> dict[str, Any]:
         """The experiment as plain tables, every default written out; `kind` first, and only where there is a choice."""
         table = TypeAdapter(type(self)).dump_python(self, mode="json", exclude_none=True)
         del table["kind"], table["goniometer"]["kind"]
         scalars = {key: value for key, value in table.items() if not isinstance(value, dict)}
-        return scalars | {key: _kind_first(value) for key, value in table.items() if isinstance(value, dict)}
+        return scalars | {key: kind_first(value) for key, value in table.items() if isinstance(value, dict)}
 
     def write(self, path: str | Path) -> None:
         """Write the resolved experiment as TOML; run again it gives the same numbers to the last bit."""
@@ -235,121 +221,3 @@ def instruction_set() -> str:
     from llvmlite import binding
 
     return str(binding.get_host_cpu_name())
-
-
-def models_for(measurement: Measurement, names: Iterable[str] | None = None, to_fit: bool = False) -> tuple[Model, ...]:
-    """The models that `names` describe, or those that fit, with the measured specimen's own roughness and material.
-
-    A name may have settings, "cook-torrance m=0.3 k_d=0.1", or be a TOML file with tables [[model]] that have a `kind`
-    and settings. What is not said is the specimen's; `to_fit` fills in what it does not tell, too. A measurement that
-    comes from elsewhere does not tell roughness and material, and no model speaks of light from Klems's patches: none
-    fits by itself. Raises `InputError` with a
-    sentence for each name that is none, or that cannot describe the specimen.
-    """
-    specimen = Specimen(measurement.surface_statistics, measurement.material, measurement.surface)
-    if names is None:
-        if specimen.material is None or isinstance(measurement.detector, Klems):
-            return ()
-        return matching(specimen.statistics, specimen.material, specimen.surface)
-    models: list[Model] = []
-    mistakes: list[str] = []
-    for name in names:
-        try:
-            models += (
-                _models_of_file(Path(name), specimen, to_fit)
-                if name.endswith(".toml")
-                else [specimen.described(name, to_fit)]
-            )
-        except InputError as error:
-            mistakes += error.sentences
-        except ValueError as error:
-            mistakes.append(f"{name}: {error}")
-    if mistakes:
-        raise InputError(*mistakes)
-    return tuple(models)
-
-
-def _models_of_file(path: Path, specimen: Specimen, to_fit: bool) -> list[Model]:
-    """The models of a TOML file's tables [[model]]; `InputError` in a sentence for each mistake."""
-    tables = read_toml(path, "it needs tables [[model]] with a kind").get("model")
-    tables = [tables] if isinstance(tables, dict) else tables
-    if not isinstance(tables, list) or not all(isinstance(table, dict) and "kind" in table for table in tables):
-        raise InputError(f'{path}: has no tables [[model]] with a kind, such as [[model]] kind = "CookTorrance".')
-    models, mistakes = [], []
-    for number, table in enumerate(tables, 1):
-        kind = str(table["kind"])
-        try:
-            models.append(specimen.model(kind, {k: v for k, v in table.items() if k != "kind"}, to_fit))
-        except ValueError as error:
-            mistakes.append(f"{path}, model {number}, {kind}: {error}")
-    if mistakes:
-        raise InputError(*mistakes)
-    return models
-
-
-def write_models(models: Iterable[Model], path: str | Path) -> Path:
-    """Write models as tables [[model]] of a TOML file, which `models_for` reads."""
-    tables = [TypeAdapter(type(model)).dump_python(model, mode="json", exclude_none=True) for model in models]
-    with replacing(Path(path)) as temporary:
-        temporary.write_text(tomli_w.dumps({"model": [_kind_first(table) for table in tables]}), encoding="utf-8")
-    return Path(path)
-
-
-def read_toml(path: Path, needs: str) -> dict[str, Any]:
-    """The tables of a TOML file; `InputError` if there are none, with what it `needs`."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file{_nearby(path)}") from None
-    except IsADirectoryError:
-        raise InputError(f"{path} is a folder: give a TOML file.") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is not text: an experiment is a TOML file in UTF-8.") from None
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        message, _, place = str(error).removesuffix(")").rpartition(" (at ")
-        raise InputError(f"{path}, {place}: {message[0].lower()}{message[1:]}.") from None
-    except RecursionError:
-        raise InputError(f"{path}: lists or tables are nested too deeply.") from None
-    if not table:
-        raise InputError(f"{path} is empty: {needs}.")
-    return table
-
-
-def _nearby(path: Path) -> str:
-    """A question that names the file probably meant, or a full stop."""
-    names = [other.name for other in path.parent.glob("*.toml")] if path.parent.is_dir() else []
-    near = difflib.get_close_matches(path.with_suffix(".toml").name, names, n=1)
-    return f"; did you mean {path.with_name(near[0])}?" if near else "."
-
-
-def override_value(table: dict[str, Any], override: str) -> list[str]:
-    """Put "key.key=value" into `table`; the mistakes in it, as sentences."""
-    key, equals, text = (part.strip() for part in override.partition("="))
-    if not equals or not re.fullmatch(r"[\w-]+(\.[\w-]+)*", key) or not text:
-        return [f"--set {override!r}: must be key=value, such as surface.alpha=0.2."]
-    *parents, name = key.split(".")
-    for parent in parents:
-        table = table.setdefault(parent, {})
-        if not isinstance(table, dict):
-            return [f"--set {override!r}: {parent} is a value, not a table."]
-    table[name] = from_toml(text)
-    return []
-
-
-def resolve_paths(table: Mapping[str, Any], folder: Path) -> None:
-    """Make every `path` in the surface's table absolute, in place; relative ones are beside the TOML file."""
-    for child in table.values():
-        if isinstance(child, dict):
-            if isinstance(child.get("path"), str):
-                child["path"] = str(folder / child["path"])
-            resolve_paths(child, folder)
-
-
-def _kind_first(table: dict[str, Any]) -> dict[str, Any]:
-    """The same table with its kind on top."""
-    ordered = {"kind": table["kind"]} | table if "kind" in table else table
-    return {key: _kind_first(value) if isinstance(value, dict) else value for key, value in ordered.items()}

@@ -22,7 +22,7 @@ from pydantic import Field, TypeAdapter, model_validator
 
 from gonio.detectors import Detector, HemisphereGrid, Klems
 from gonio.measurement import FATES, Measurement, orders
-from gonio.tally import MAX_PATHS, UNIT, Tally, Wide
+from gonio.tally import MAX_PATHS, UNIT, Tally, UInt128
 from gonio.transport import trace
 from gonio.transport.light import surface_optics
 from gonio.transport.scene import Scene
@@ -84,8 +84,8 @@ class Goniometer:
         for theta in self.theta_i:
             if self.beam_half_angle and theta + self.beam_half_angle > 90:
                 raise ValueError(
-                    f"theta_i = {theta:g} with beam_half_angle = {self.beam_half_angle:g} puts part of the source below "
-                    f"the horizon: keep their sum at or below 90 degrees"
+                    f"theta_i = {theta:g} with beam_half_angle = {self.beam_half_angle:g} puts part of the source "
+                    f"below the horizon: keep their sum at or below 90 degrees"
                 )
             if isinstance(self.detector, HemisphereGrid) and self.detector.edge_at(theta):
                 raise ValueError(
@@ -236,7 +236,7 @@ def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) 
 
 def enter(tally: Tally, sums: Any, at: tuple[int, int]) -> None:
     """Write the tally of one incidence into `sums` (see `empty_sums`), at its row and column."""
-    scatter, squares = tally.scatter(), Wide.zeros(tally.total.shape)
+    scatter, squares = tally.scatter(), UInt128.zeros(tally.total.shape)
     squares.add_square(tally.total)
     for name, value in (
         ("weight", tally.total),

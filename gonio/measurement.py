@@ -7,26 +7,23 @@ former follows from the latter, so measurements of further specimens merge exact
 from __future__ import annotations
 
 import functools
-import io
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from gonio.detectors import Detector, HemisphereGrid
+from gonio.detectors import DETECTOR, Detector, HemisphereGrid
 from gonio.html_drawing import in_plane, plane_of_incidence, thinned
 from gonio.interpolation import Interpolation
 from gonio.optics import Material
 from gonio.sphere import angles
-from gonio.tally import MAX_PATHS, UNIT, Wide
+from gonio.tally import MAX_PATHS, UNIT, UInt128
 from microsurfaces import Facets, Surface
-from microsurfaces.files import replacing
-from microsurfaces.html_card import card
+from microsurfaces.html_card import html_card
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -44,7 +41,6 @@ FATES = ("launched", "escaped", "absorbed", "truncated", "lost")
 
 _WIDE = ("mc_scatter", "realisation_squares")
 _ADDITIVE = ("weight", "hits", "ledger", "paths", "realisations")
-_DETECTOR: TypeAdapter[Detector] = TypeAdapter(Detector)
 _MATERIAL: TypeAdapter[Material] = TypeAdapter(Material)
 _SURFACE: TypeAdapter[Surface] = TypeAdapter(Surface)
 
@@ -90,7 +86,7 @@ class Measurement:
     @functools.cached_property
     def detector(self) -> Detector:
         """The detector recipe."""
-        return _DETECTOR.validate_json(self.attributes["detector"])
+        return DETECTOR.validate_json(self.attributes["detector"])
 
     @property
     def wavelengths(self) -> Floats:
@@ -161,7 +157,7 @@ class Measurement:
         """What a notebook shows: lobes in the plane of incidence, and key numbers."""
         lamps = sorted({theta for theta, _ in self.incidences()})
         title = str(self.attributes.get("title") or "Measurement")
-        return card(title, self._key_numbers(lamps), self.sketch())
+        return html_card(title, self._key_numbers(lamps), self.sketch())
 
     def _key_numbers(self, lamps: list[float]) -> dict[str, object]:
         """What a notebook tells, in words."""
@@ -287,8 +283,8 @@ def _added(a: xr.Dataset, b: xr.Dataset) -> xr.Dataset:
         total[name] = a[name] + b[name]
     total["replicates"] = np.maximum(a["replicates"], b["replicates"])
     for name in _WIDE:
-        wide = Wide(a[f"{name}_high"].values.copy(), a[f"{name}_low"].values.copy())
-        wide.add(Wide(b[f"{name}_high"].values, b[f"{name}_low"].values))
+        wide = UInt128(a[f"{name}_high"].values.copy(), a[f"{name}_low"].values.copy())
+        wide.add(UInt128(b[f"{name}_high"].values, b[f"{name}_low"].values))
         total[f"{name}_high"] = (a[f"{name}_high"].dims, wide.high)
         total[f"{name}_low"] = (a[f"{name}_low"].dims, wide.low)
     return total
@@ -357,7 +353,7 @@ def _estimates(sums: xr.Dataset) -> tuple[Floats, Floats, Floats]:
     replicates = sums["replicates"].values[expand].astype(np.float64)
     pilot = int(sums.attrs["pilot"])
     total = sums["weight"].values
-    squares = {name: Wide(sums[f"{name}_high"].values, sums[f"{name}_low"].values) for name in _WIDE}
+    squares = {name: UInt128(sums[f"{name}_high"].values, sums[f"{name}_low"].values) for name in _WIDE}
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = 1.0 / (paths * UNIT)
         variance = squares["mc_scatter"].floats() / (pilot * (pilot - 1))
@@ -367,7 +363,7 @@ def _estimates(sums: xr.Dataset) -> tuple[Floats, Floats, Floats]:
             scatter = np.zeros(total.shape)
             for k in np.unique(sums["realisations"].values[sums["realisations"].values > 1]):
                 chosen = sums["realisations"].values == k
-                part = Wide(*(np.ascontiguousarray(half[chosen]) for half in squares["realisation_squares"]))
+                part = UInt128(*(np.ascontiguousarray(half[chosen]) for half in squares["realisation_squares"]))
                 scatter[chosen] = part.scatter(np.ascontiguousarray(total[chosen]), int(k)).floats()
             whole = np.where(count > 1, np.sqrt(scatter / (count - 1)) * scale, mc)
         return total * scale, mc, whole
@@ -457,55 +453,5 @@ def tabulated(
     variables["projected_solid_angle"] = (per_bin[3:5], area)
     where, bounds = _bins(detector)
     known = {"origin": "elsewhere", "isotropic": 0, "interrupted": 0, **(attributes or {})}
-    known["detector"] = _DETECTOR.dump_json(detector).decode()
+    known["detector"] = DETECTOR.dump_json(detector).decode()
     return Measurement(None, known, _described(xr.Dataset({**variables, **bounds}, {**coords, **where})))
-
-
-def save(measurement: Measurement, path: str | Path) -> Path:
-    """Write a measurement as netCDF-4: the dataset, and (if gonio counted it) the group `sums` that merges exactly.
-
-    The file appears when it is complete, under a temporary name until then.
-    """
-    path = Path(path)
-    packed = {"zlib": True, "complevel": 1, "shuffle": True}
-    content = io.BytesIO()  # in memory first: HDF5 does not survive a full disk
-    groups = [
-        (None, measurement.dataset, "w"),
-        *(() if measurement.sums is None else (("sums", measurement.sums, "a"),)),
-    ]
-    for group, dataset, mode in groups:
-        encoding = {name: packed for name, variable in dataset.data_vars.items() if variable.ndim > 3}
-        dataset.to_netcdf(content, mode=mode, group=group, engine="h5netcdf", encoding=encoding)
-    with replacing(path) as scratch:
-        scratch.write_bytes(content.getvalue())
-    return path
-
-
-def load(path: str | Path) -> Measurement:
-    """Read a measurement that `save` wrote. Raises ValueError in one sentence for anything else."""
-    import xarray as xr
-
-    path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"{path}: there is no such file")
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as dataset:
-            attributes = dict(dataset.attrs)
-            _DETECTOR.validate_json(attributes["detector"])
-            if "origin" in attributes:
-                return _from_elsewhere(dataset.load(), attributes)
-        with xr.open_dataset(path, group="sums", engine="h5netcdf") as sums:
-            return Measurement(sums.load(), attributes)
-    except (OSError, KeyError, ValueError) as error:
-        raise ValueError(f"{path}: not a measurement that gonio wrote, or it is damaged ({error})") from None
-
-
-def _from_elsewhere(dataset: xr.Dataset, attributes: Mapping[str, Any]) -> Measurement:
-    """The measurement of a file without sums; KeyError or ValueError if it is none."""
-    axes = ("theta_i", "phi_i", "theta_o", "dphi", "wavelength")
-    brdf, error = (dataset[name].sel(order="all").transpose(*axes) for name in ("brdf", "standard_error"))
-    theta_i, phi_i, wavelengths = (dataset[name].values for name in ("theta_i", "phi_i", "wavelength"))
-    detector = _DETECTOR.validate_json(attributes["detector"])
-    if not isinstance(detector, HemisphereGrid) or brdf.shape[2:4] != detector.shape or error.shape != brdf.shape:
-        raise ValueError("its values do not have the shape that its detector has")
-    return tabulated(brdf.values, detector, theta_i, phi_i, wavelengths, error.values, attributes)

@@ -14,7 +14,7 @@ WORD = uint64(0xFFFFFFFF)
 
 
 @kernel
-def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
+def philox(c0, c1, c2, c3, k0, k1):
     """Philox4x32-10 (Salmon et al. 2011, doi:10.1145/2063384.2063405): four 32-bit words, as uint64."""
     c0, c1, c2, c3 = uint64(c0) & WORD, uint64(c1) & WORD, uint64(c2) & WORD, uint64(c3) & WORD
     k0, k1 = uint64(k0) & WORD, uint64(k1) & WORD
@@ -31,6 +31,6 @@ def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def uniform(word):  # type: ignore[no-untyped-def]
+def uniform(word):
     """A 32-bit word as a number inside (0, 1)."""
     return (np.float64(word) + 0.5) * 2.0**-32

@@ -27,7 +27,7 @@ from gonio.formats import export
 from gonio.formats.rgl import read
 from gonio.measurement import Measurement
 from gonio.sphere import direction
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 from microsurfaces.recipe import did_you_mean
 
 Floats = NDArray[np.float64]
@@ -73,7 +73,7 @@ def render(
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"cannot render into {str(path)!r}: the suffixes are {' and '.join(SUFFIXES)}")
     image = radiances(source, scene, size, spp, seed=seed)
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         _write(image, temporary)
     return path
 

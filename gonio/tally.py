@@ -27,18 +27,18 @@ _LOW = uint64(0xFFFFFFFF)
 _HALF = uint64(32)
 
 
-class Wide(NamedTuple):
+class UInt128(NamedTuple):
     """Unsigned 128-bit integers: `high` · 2⁶⁴ + `low`, two uint64 arrays of one shape."""
 
     high: NDArray[np.uint64]
     low: NDArray[np.uint64]
 
     @classmethod
-    def zeros(cls, shape: tuple[int, ...]) -> Wide:
+    def zeros(cls, shape: tuple[int, ...]) -> UInt128:
         """Zeros of `shape`."""
         return cls(np.zeros(shape, np.uint64), np.zeros(shape, np.uint64))
 
-    def add(self, other: Wide) -> None:
+    def add(self, other: UInt128) -> None:
         """Add `other` in place."""
         _add(self.high.ravel(), self.low.ravel(), other.high.ravel(), other.low.ravel())
 
@@ -46,9 +46,9 @@ class Wide(NamedTuple):
         """Add the squares of `values` in place."""
         _add_square(self.high.ravel(), self.low.ravel(), np.ascontiguousarray(values).ravel())
 
-    def scatter(self, total: NDArray[np.int64], count: int) -> Wide:
+    def scatter(self, total: NDArray[np.int64], count: int) -> UInt128:
         """count · Σx² - (Σx)², where this is Σx² and `total` is Σx of `count` values: count² times their variance."""
-        result = Wide.zeros(self.high.shape)
+        result = UInt128.zeros(self.high.shape)
         _scatter(
             result.high.ravel(),
             result.low.ravel(),
@@ -77,7 +77,7 @@ class Tally:
     """Weights of all replicates."""
     piloted: NDArray[np.int64]
     """Weights of the pilot's."""
-    squares: Wide
+    squares: UInt128
     """Squares of the pilot's weights, summed."""
     hits: NDArray[np.int64]
     """Paths that arrived, (orders, bins)."""
@@ -91,7 +91,7 @@ class Tally:
         """No replicates yet, of `paths` each, for sums of `shape`."""
         zeros = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
         return cls(
-            pilot, paths, *zeros, Wide.zeros(shape), np.zeros(shape[:2], np.int64), np.zeros((3, shape[2]), np.int64)
+            pilot, paths, *zeros, UInt128.zeros(shape), np.zeros(shape[:2], np.int64), np.zeros((3, shape[2]), np.int64)
         )
 
     def add(self, replicates: range, caught: NDArray[np.int64], ledger: NDArray[np.int64]) -> None:
@@ -121,13 +121,13 @@ class Tally:
         self.ledger += other.ledger
         self.replicates += other.replicates
 
-    def scatter(self) -> Wide:
+    def scatter(self) -> UInt128:
         """pilot · Σx² - (Σx)² over the pilot's replicates, of the shape of `total`."""
         return self.squares.scatter(self.piloted, self.pilot)
 
 
 @njit(cache=True, nogil=True)
-def _absorb(caught, pilots, first, last, total, piloted, high, low, hits):  # type: ignore[no-untyped-def]
+def _absorb(caught, pilots, first, last, total, piloted, high, low, hits):
     orders, _, members, width = caught.shape
     width -= 1
     whole = np.zeros(width, np.int64)
@@ -159,7 +159,7 @@ def _absorb(caught, pilots, first, last, total, piloted, high, low, hits):  # ty
 
 
 @njit(cache=True, nogil=True)
-def _square(x):  # type: ignore[no-untyped-def]
+def _square(x):
     """(high, low) of the square of an int64 that is not negative."""
     a, b = uint64(x) >> _HALF, uint64(x) & _LOW
     cross = a * b
@@ -169,7 +169,7 @@ def _square(x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _add(high, low, other_high, other_low):  # type: ignore[no-untyped-def]
+def _add(high, low, other_high, other_low):
     for i in range(high.size):
         before = low[i]
         low[i] = before + other_low[i]
@@ -177,7 +177,7 @@ def _add(high, low, other_high, other_low):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _add_square(high, low, values):  # type: ignore[no-untyped-def]
+def _add_square(high, low, values):
     for i in range(values.size):
         if values[i] != 0:
             square_high, square_low = _square(values[i])
@@ -187,7 +187,7 @@ def _add_square(high, low, values):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _scatter(result_high, result_low, high, low, total, count):  # type: ignore[no-untyped-def]
+def _scatter(result_high, result_low, high, low, total, count):
     factor = uint64(count)
     for i in range(total.size):
         if total[i] == 0:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from microsurfaces.html_card import card, image
+from microsurfaces.html_card import html_card, image
 from microsurfaces.mesh import (
     Facets,
     Floats,
@@ -66,7 +66,7 @@ class HeightField:
             "heights": f"{self.heights.min():.3g} to {self.heights.max():.3g} µm, Sq = {self.heights.std():.3g} µm",
             "rms slopes": f"{slopes[0]:.3g} along x, {slopes[1]:.3g} along y",
         }
-        return card("HeightField", rows, self._picture())
+        return html_card("HeightField", rows, self._picture())
 
     def _picture(self) -> str:
         """An image of the middle of the tile, y upward, its slopes along x as grey."""

@@ -15,7 +15,7 @@ LONGEST = 160
 """Characters of a text, beyond which it is cut."""
 
 
-def card(title: str, rows: Mapping[str, object], picture: str = "") -> str:
+def html_card(title: str, rows: Mapping[str, object], picture: str = "") -> str:
     """HTML of `picture` (an element, see `image`) beside a table of `rows`; title and rows are text and get escaped."""
     cell = "padding:1px 12px 1px 0;text-align:left;vertical-align:top"
     table = "".join(

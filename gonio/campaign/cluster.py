@@ -24,7 +24,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from gonio.campaign import engine
+from gonio.campaign import running
 from gonio.campaign.running import REPORT_SECONDS, ClusterError, Queue, Report, attempt
 from gonio.campaign.store import Folder
 
@@ -48,7 +48,7 @@ SHARED_SECONDS = 10.0
 @contextlib.contextmanager
 def connected(address: str) -> Iterator[Client]:
     """A connection to the scheduler at `address`. Raises `InputError` where none answers or Dask is not installed."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     try:
         from distributed import Client
@@ -208,7 +208,7 @@ class Crew:
 
     def _greeted(self, seat: _Seat, error: BaseException | None) -> None:
         """A worker is fit, or is left out; raises `InputError` if none is fit."""
-        from gonio.experiment import InputError
+        from gonio.toml_files import InputError
 
         seat.fit = error is None
         self.queue.state.workers = sum(other.fit for other in self._seats.values())
@@ -239,7 +239,7 @@ class Crew:
 
 
 def _died() -> str:
-    return f"its worker died {engine.DEATHS} times, as when memory is short."
+    return f"its worker died {running.DEATHS} times, as when memory is short."
 
 
 def _gone() -> ClusterError:

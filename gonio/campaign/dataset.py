@@ -16,7 +16,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from gonio.campaign.store import Folder, keys_of, measurement_file
-from gonio.experiment import InputError
+from gonio.toml_files import InputError
 
 SINGLE = "campaign.nc"
 """The file of a campaign that was published as one."""

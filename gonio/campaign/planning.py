@@ -24,9 +24,10 @@ from gonio.campaign.store import Folder
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Bench, Plan, Unit, units_of, unpacked
 from gonio.detectors import Klems
-from gonio.experiment import Experiment, InputError
+from gonio.experiment import Experiment
 from gonio.goniometer import median_error
 from gonio.tally import MAX_PATHS, Tally
+from gonio.toml_files import InputError
 
 PILOTS = 16
 """No more units are measured, unless there are more workers."""

@@ -21,9 +21,9 @@ from gonio import __version__
 from gonio.campaign.dataset import SINGLE, open_campaign, variable_name
 from gonio.campaign.results import Merged, cell, index_of, merge
 from gonio.campaign.store import Folder, keys_of, measurement_file, write_whole
-from gonio.experiment import InputError
-from gonio.measurement import load, save
+from gonio.netcdf import load, save
 from gonio.noise import Noises
+from gonio.toml_files import InputError
 
 Progress = Callable[[int, int], None]
 

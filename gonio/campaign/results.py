@@ -15,7 +15,8 @@ from pydantic import TypeAdapter
 from gonio.campaign.store import DamagedError, Folder, keys_of, measurement_file, write_whole
 from gonio.campaign.units import joined
 from gonio.experiment import Experiment
-from gonio.measurement import Measurement, save
+from gonio.measurement import Measurement
+from gonio.netcdf import save
 from gonio.noise import Noises, noises
 
 

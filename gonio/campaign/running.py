@@ -246,7 +246,7 @@ def seconds_left(folder: Folder) -> float | None:
 
 def _refuse_other_versions(folder: Folder, versions: dict[str, str]) -> None:
     """Raise `InputError` if the folder was begun with packages that may give other numbers."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     if not (folder.path / "manifest.json").exists():
         return
@@ -264,7 +264,7 @@ def _refuse_other_versions(folder: Folder, versions: dict[str, str]) -> None:
 
 def attempt(work: Callable[[], None]) -> str | None:
     """Do `work`; the sentence of what is wrong with this unit, if anything."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     try:
         work()

@@ -64,7 +64,7 @@ class Folder:
 
     def manifest(self) -> dict[str, Any]:
         """What was asked. Raises `InputError` where there is no campaign."""
-        from gonio.experiment import InputError
+        from gonio.toml_files import InputError
 
         path = self.path / "manifest.json"
         try:

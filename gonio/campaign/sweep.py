@@ -15,7 +15,8 @@ from typing import Any, Self
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from gonio.experiment import Experiment, InputError, override_value, read_toml, resolve_paths
+from gonio.experiment import Experiment
+from gonio.toml_files import InputError, override_value, read_toml, resolve_paths
 from microsurfaces.recipe import as_toml, did_you_mean, parameters, sentences
 
 MAX_EXPERIMENTS = 100_000

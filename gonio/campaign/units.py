@@ -19,10 +19,11 @@ from pydantic import TypeAdapter
 
 from gonio.campaign.store import DamagedError, Folder, name_of
 from gonio.campaign.sweep import Campaign
-from gonio.experiment import Experiment, InputError, instruction_set
+from gonio.experiment import Experiment, instruction_set
 from gonio.goniometer import Goniometer, Incidence, Progress, empty_sums, enter
 from gonio.measurement import Measurement
-from gonio.tally import Tally, Wide
+from gonio.tally import Tally, UInt128
+from gonio.toml_files import InputError
 from gonio.transport.scene import Scene
 from microsurfaces import VGrooves
 
@@ -278,7 +279,7 @@ def unpacked(goniometer: Goniometer, arrays: Mapping[str, NDArray[Any]]) -> Tall
         math.ceil(goniometer.paths / goniometer.replicates),
         arrays["total"],
         arrays.get("piloted", arrays["total"]).copy(),
-        Wide(arrays["squares_high"], arrays["squares_low"]),
+        UInt128(arrays["squares_high"], arrays["squares_low"]),
         arrays["hits"],
         arrays["ledger"],
         int(arrays["replicates"]),

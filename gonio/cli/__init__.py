@@ -46,7 +46,7 @@ def _attempt(tokens: Sequence[str] | None) -> int:
     except BrokenPipeError:
         return 0
     except ValueError as error:
-        from gonio.experiment import InputError
+        from gonio.toml_files import InputError
 
         if not isinstance(error, InputError):
             raise

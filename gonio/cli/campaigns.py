@@ -92,7 +92,7 @@ def campaign_run(
     from gonio.campaign.running import ClusterError, State
     from gonio.campaign.running import run as run_campaign
     from gonio.campaign.sweep import Campaign
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     _check_numbers(workers=(workers, 0), threads=(threads, 1))
     if scheduler is not None and (workers or threads):
@@ -138,7 +138,7 @@ def campaign_run(
 
 def _check_numbers(**numbers: tuple[int | None, int]) -> None:
     """Raise `InputError` for an option that is below its least value; None is not given."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     for name, (number, least) in numbers.items():
         if number is not None and number < least:
@@ -147,7 +147,7 @@ def _check_numbers(**numbers: tuple[int | None, int]) -> None:
 
 def _shard(text: str) -> tuple[int, int]:
     """(i, n) of "i/n"."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     number, slash, shards = text.partition("/")
     if not (slash and number.isdecimal() and shards.isdecimal() and 1 <= int(number) <= int(shards)):
@@ -456,7 +456,7 @@ def campaign_publish(
         Write one file, campaign.nc, instead of one for each measurement.
     """
     from gonio.campaign.publication import About, publish
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     heading = title or _title_of(folder)
     if not heading:

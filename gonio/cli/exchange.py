@@ -71,8 +71,8 @@ def list_(name: str | None = None, /) -> None:
     name
         One of them, shown with its whole description.
     """
-    from gonio.experiment import InputError
     from gonio.formats import FORMATS
+    from gonio.toml_files import InputError
     from microsurfaces.recipe import did_you_mean
 
     catalogue = _catalogue()

@@ -39,7 +39,8 @@ def models_to_compare(
     measurement: Measurement, names: Sequence[str] | None
 ) -> tuple[tuple[Model, ...], tuple[str, ...]]:
     """The models to compare with, and why there are none: a measurement is worth keeping all the same."""
-    from gonio.experiment import InputError, models_for
+    from gonio.models.specimen import models_for
+    from gonio.toml_files import InputError
 
     try:
         return models_for(measurement, names), ()
@@ -116,7 +117,8 @@ def compare(
         Folder for MODEL.nc, every number and every bin of the comparison, and MODEL.png, maps of the difference.
     """
     from gonio import tables
-    from gonio.experiment import InputError, models_for
+    from gonio.models.specimen import models_for
+    from gonio.toml_files import InputError
 
     if not 0.0 <= floor < 1.0:
         raise InputError(f"--floor {floor:g}: must be 0 or more and less than 1, a share of the peak.")
@@ -203,10 +205,11 @@ def fit(
         A picture of the fits and of their parameters: .png, .svg or .pdf.
     """
     from gonio import plots, tables
-    from gonio.experiment import InputError, models_for, write_models
     from gonio.fitting import fit as fitted
     from gonio.fitting import rank
+    from gonio.models.specimen import models_for, write_models
     from gonio.plots.style import check_path
+    from gonio.toml_files import InputError
 
     measurement = load_measurement(file)
     for path in (output, picture):
@@ -258,8 +261,8 @@ def check(file: Path, /) -> None:
         The measurement, a .nc file.
     """
     from gonio import tables
-    from gonio.experiment import InputError
     from gonio.self_check import certify_file
+    from gonio.toml_files import InputError
 
     try:
         certificate = certify_file(file)
@@ -297,10 +300,10 @@ def validate(
         A Markdown file for the table.
     """
     from gonio import tables
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
     from gonio.validation import CASES, Row, markdown
     from gonio.validation import run as measured
-    from microsurfaces.files import replacing
+    from microsurfaces.atomic_write import atomic_write
 
     if output is not None:
         make_writable(output.parent)
@@ -324,7 +327,7 @@ def validate(
         "formulas that the same test must see through."
     )
     if output is not None:
-        with replacing(output) as path:
+        with atomic_write(output) as path:
             path.write_text(markdown(rows), encoding="utf-8")
         print(output)
     if interrupted:

@@ -88,8 +88,8 @@ def run(
     quiet
         Print nothing but errors.
     """
-    from gonio.experiment import InputError
     from gonio.self_check import Certificate
+    from gonio.toml_files import InputError
 
     experiment = read_experiment(config, overrides, seed)
     if threads is not None and threads < 1:
@@ -139,12 +139,12 @@ def _write_results(experiment: Experiment, measurement: Measurement, folder: Pat
 
 
 def _write_numbers(experiment: Experiment, measurement: Measurement, folder: Path) -> None:
-    from gonio.measurement import save
-    from microsurfaces.files import replacing
+    from gonio.netcdf import save
+    from microsurfaces.atomic_write import atomic_write
 
     folder.mkdir(parents=True, exist_ok=True)
     save(measurement, folder / "measurement.nc")
-    with replacing(folder / "experiment.toml") as path:
+    with atomic_write(folder / "experiment.toml") as path:
         experiment.write(path)
 
 
@@ -221,7 +221,7 @@ def surface(
         Open a window with the surface.
     """
     from gonio import tables
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
     from microsurfaces.files import save_surface
 
     experiment = read_experiment(config, overrides, seed)

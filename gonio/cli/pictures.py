@@ -144,7 +144,7 @@ def plot(
 
 def _kind(name: str) -> str:
     """A kind of picture; `InputError` with the nearest one for anything else."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
     from microsurfaces.recipe import did_you_mean
 
     if name in KINDS:
@@ -156,7 +156,7 @@ def _kind(name: str) -> str:
 
 def _check_options(kinds: Sequence[str], options: Mapping[str, Any]) -> None:
     """Raise `InputError` for an option that none of the kinds has."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     flags = {"radius": "--log or --linear"}
     for name in options:
@@ -171,7 +171,7 @@ def _pictures(
 ) -> Iterator[tuple[str, Callable[..., Any]]]:
     """The names of the pictures, and functions that draw them into a path."""
     from gonio import plots
-    from gonio.experiment import models_for
+    from gonio.models.specimen import models_for
 
     wanted = set(kinds or UNASKED)
     experiment = _experiment_behind(file) if "ground" in options or wanted & OF_SURFACES else None
@@ -203,7 +203,7 @@ def _differences(
 ) -> Iterator[tuple[str, Callable[..., Any]]]:
     """One picture a model."""
     from gonio.comparison import compare
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     if not models:
         raise InputError(
@@ -221,7 +221,7 @@ def _placed(
     pictures: Sequence[tuple[str, Callable[..., Any]]], output: Path | None, home: Path, asked: bool
 ) -> Iterator[tuple[str, Path, Callable[..., Any]]]:
     """Pictures with the files that they go into: one file, or .png files in a folder, which is made."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     file = output is not None and bool(output.suffix) and not output.is_dir()
     if output is not None and file and asked and len(pictures) == 1:
@@ -238,7 +238,7 @@ def _placed(
 
 def _draw_one(name: str, path: Path, draw: Callable[..., Any], asked: bool) -> None:
     """Draw and tell the file; what cannot be drawn is an error only if it was asked for."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     try:
         with telling_refusals(path), working(f"drawing {path}"):
@@ -257,7 +257,8 @@ def _experiment_behind(file: Path) -> Experiment:
     """The experiment in a .toml file, or the one that a measurement was made with."""
     from pydantic import TypeAdapter, ValidationError
 
-    from gonio.experiment import Experiment, InputError
+    from gonio.experiment import Experiment
+    from gonio.toml_files import InputError
 
     if file.suffix.lower() == ".toml":
         return Experiment.read(file)
@@ -271,7 +272,7 @@ def _experiment_behind(file: Path) -> Experiment:
 
 def _height_field(experiment: Experiment) -> HeightField:
     """The relief to draw under a lobe; `InputError` for a surface that is none."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
     from microsurfaces import HeightField
 
     relief = experiment.relief()
@@ -297,8 +298,9 @@ def report(file: Path, /, *, models: ModelNames = (), output: Output = None) -> 
     output
         The page; report.html beside the measurement if not given.
     """
-    from gonio.experiment import InputError, models_for
+    from gonio.models.specimen import models_for
     from gonio.reporting import report as write
+    from gonio.toml_files import InputError
 
     measurement, page = load_measurement(file), output or file.parent / "report.html"
     if page.suffix.lower() not in (".html", ".htm"):

@@ -89,7 +89,7 @@ def telling_refusals(path: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def telling_mistakes() -> Iterator[None]:
     """Raise `InputError` in place of a ValueError about what was asked for."""
-    from gonio.experiment import InputError
+    from gonio.toml_files import InputError
 
     try:
         yield

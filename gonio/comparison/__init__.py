@@ -21,7 +21,7 @@ from gonio.measurement import Measurement
 from gonio.models import Model
 from gonio.models.averages import TOLERANCE, Estimate, RandomWalk
 from gonio.sphere import Vectors, direction
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -188,7 +188,7 @@ class Verdict:
         path = Path(path)
         about = {"model": repr(self.model), "order": self.order, "scope": self.scope, "floor": self.floor}
         about["channels"] = ", ".join(self.channels)
-        with replacing(path) as temporary:
+        with atomic_write(path) as temporary:
             # netCDF knows no truth values.
             flags = {name: variable.astype("int8") for name, variable in self.table.items() if variable.dtype == bool}
             self.table.assign_attrs(about).assign(flags).to_netcdf(temporary, engine="h5netcdf", group="table")

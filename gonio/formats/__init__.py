@@ -133,7 +133,7 @@ def load(path: str | os.PathLike[str], format: str | None = None) -> Measurement
     The suffix decides, or `format`. Foreign files become measurements without sums and ledger, sampled at incidences
     and bins that suit them. Raises ValueError in one sentence for anything else.
     """
-    from gonio import measurement
+    from gonio import netcdf
 
     path = Path(path)
     if not path.is_file():
@@ -141,7 +141,7 @@ def load(path: str | os.PathLike[str], format: str | None = None) -> Measurement
     suffix = path.suffix.lower()
     readers = [FORMATS[_name(path, format)]] if format else [f for f in FORMATS.values() if f.suffix == suffix]
     if not readers:
-        return measurement.load(path)
+        return netcdf.load(path)
     return _read(path, list({reader.module: reader for reader in reversed(readers)}.values())[::-1]).measured()
 
 

@@ -35,7 +35,7 @@ import numpy as np
 from gonio.brdf import NOMINAL, Basis, Floats, Lobes
 from gonio.detectors import HemisphereGrid
 from gonio.formats.scattered import Table, decimal, degrees, detector_of, frame, incidences, title_of
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
 
@@ -56,7 +56,7 @@ def write(lobes: Lobes, path: Path) -> Sequence[str]:
     names = lobes.channels
     known = [np.isfinite(brdf).all(axis=-1) for _, _, brdf, _ in incidences(measurement)]
     rows, bins = sum(int(here.sum()) for here in known), sum(here.size for here in known)
-    with replacing(path) as scratch, scratch.open("w", encoding="utf-8", newline="\n") as file:
+    with atomic_write(path) as scratch, scratch.open("w", encoding="utf-8", newline="\n") as file:
         file.write(f"TITLE {_plain(lobes.title)}\nSOURCE gonio\n")
         file.write(f"SYMMETRY {'isotropic' if lobes.isotropic else 'anisotropic'}\n")
         file.write(f"DETECTOR {measurement.attributes['detector']}\n")

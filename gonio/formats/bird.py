@@ -36,7 +36,7 @@ from gonio.brdf import NOMINAL, Floats, Lobes
 from gonio.formats import json_arrays
 from gonio.formats.scattered import Table, decimal, degrees, detector_of, incidences, title_of
 from gonio.measurement import Measurement
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 SCHEMA = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json"
 
@@ -65,7 +65,7 @@ def write(lobes: Lobes, path: Path) -> Sequence[str]:
         about = {"description": f"{lobes.basis} under D65, CIE 1931 2° observer", "unit": "", "type": "string"}
         values.append(f'"adhoc_variables": {{{_values("channel", about, columns["channel"])}}}')
     metadata = json.dumps(_metadata(lobes, measurement), indent=1, ensure_ascii=False, allow_nan=False)
-    with replacing(path) as scratch:
+    with atomic_write(path) as scratch:
         text = '{{"metadata": {},\n"data": {{\n{}\n}}}}\n'.format(metadata, ",\n".join(values))
         scratch.write_text(text, encoding="utf-8", newline="\n")
     return notes

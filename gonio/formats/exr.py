@@ -30,7 +30,7 @@ from gonio.brdf import Floats, Lobes
 from gonio.detectors import HemisphereGrid
 from gonio.measurement import tabulated
 from gonio.sphere import Vectors, angles, direction, rotate_z
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -76,7 +76,7 @@ def write(lobes: Lobes, path: Path, colour: bool = False, layout: Literal["bins"
     else:
         quantities = [name for name in QUANTITIES if data[name].notnull().any()]
         parts = [_part(lobes, incidence, name) for incidence in incidences for name in quantities]
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         try:
             OpenEXR.File([OpenEXR.Part(header, channels) for header, channels in parts]).write(str(temporary))
         except RuntimeError as error:

@@ -35,7 +35,7 @@ from gonio.brdf import Floats, Lobes
 from gonio.colour import PRIMARIES
 from gonio.detectors import HemisphereGrid
 from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 Sample = Literal["centre", "edge"]
 """Where in its bin a value is taken: at the centre, or at the lower edge."""
@@ -72,7 +72,7 @@ def write(lobes: Lobes, path: Path, sample: Sample = "centre") -> Sequence[str]:
     values = np.stack([_row(lobes, i, (place, place, place)) for i in range(BINS[0])])
     above = np.isfinite(values[..., 0])
     stored = np.where(above[..., None], np.maximum(values, 0.0) / SCALE, BELOW_HORIZON)
-    with replacing(path) as scratch, scratch.open("wb") as file:
+    with atomic_write(path) as scratch, scratch.open("wb") as file:
         file.write(np.array(BINS, "<i4").tobytes())
         file.write(np.moveaxis(stored, -1, 0).astype("<f8").tobytes())
     return _notes(lobes, values[above])

@@ -37,7 +37,7 @@ from gonio.detectors import HemisphereGrid
 from gonio.formats import json_arrays
 from gonio.formats.scattered import Table, decimal, degrees, detector_of, title_of
 from gonio.measurement import Measurement
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -68,7 +68,7 @@ def write(lobes: Lobes, path: Path) -> Sequence[str]:
         },
     }
     text = json.dumps(head, indent=1, ensure_ascii=False, allow_nan=False).removesuffix("\n }\n}")
-    with replacing(path) as scratch, scratch.open("w", encoding="utf-8", newline="\n") as file:
+    with atomic_write(path) as scratch, scratch.open("w", encoding="utf-8", newline="\n") as file:
         file.write(f'{text},\n  "lookupTable": [\n')
         for index, rows in enumerate(_rows(values)):
             file.write((",\n" if index else "") + ",\n".join(rows))

@@ -37,7 +37,7 @@ from gonio.detectors import HemisphereGrid
 from gonio.formats import klems, tensor_tree
 from gonio.formats.text import numbers
 from gonio.sphere import Vectors
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 Variant = Literal["klems-full", "klems-half", "klems-quarter", "tensor3", "tensor4"]
 """A matrix over 145, 77 or 41 patches, or a tensor tree for isotropic or for any BRDFs."""
@@ -72,7 +72,7 @@ def write(lobes: Lobes, path: Path, basis: Variant = "klems-full") -> Sequence[s
             'rank 4 ("tensor4") or a matrix to keep them'
         )
     components = _components(values, chromaticities=basis not in klems.BASES)
-    with replacing(path) as scratch:
+    with atomic_write(path) as scratch:
         scratch.write_text(_document(lobes.title, frame, components), encoding="utf-8")
     return notes
 

@@ -34,7 +34,7 @@ import numpy as np
 
 from gonio.brdf import Floats, Lobes
 from gonio.formats.scattered import Table, decimal, detector_of, frame, incidences, title_of
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "dphi", "wavelength", "brdf", "standard_error")
 """What is read; all but theta_i, theta_o, brdf and one of phi_o and dphi may be missing."""
@@ -64,7 +64,7 @@ def write(lobes: Lobes, path: Path) -> Sequence[str]:
     known = bool(data["standard_error"].notnull().any())
     names = [*COLUMNS[:7], *COLUMNS[7:][: int(known)], *(["hits"] if hits is not None else [])]
     rows = 0
-    with replacing(path) as scratch, scratch.open("w", encoding="utf-8", newline="\n") as file:
+    with atomic_write(path) as scratch, scratch.open("w", encoding="utf-8", newline="\n") as file:
         file.write("".join(f"# {line}\n" for line in _comments(lobes)) + ",".join(names) + "\n")
         for (i, j), (theta, phi, brdf, errors) in zip(
             np.argwhere(measurement.measured), incidences(measurement), strict=True

@@ -42,7 +42,7 @@ from gonio.formats.scattered import decimal, grid_of_steps, title_of
 from gonio.formats.text import numbers
 from gonio.interpolation import bracket, bracket_around
 from gonio.sphere import Vectors, angles, direction
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 RADIAL = np.concatenate(
     [np.arange(0, 6, 0.25), np.arange(6, 20, 0.5), np.arange(20, 50, 1), np.arange(50, 90, 2), np.arange(90, 181, 5)]
@@ -125,7 +125,7 @@ def write(lobes: Lobes, path: Path, colour: bool = False) -> Sequence[str]:
     table, notes = _sampled(chosen)
     symmetry, table = _symmetry(chosen, table, notes)
     albedos = _albedos(chosen, table, notes)
-    with replacing(path) as scratch, scratch.open("w", encoding="utf-8", newline="\r\n") as file:
+    with atomic_write(path) as scratch, scratch.open("w", encoding="utf-8", newline="\r\n") as file:
         file.write(_head(chosen, symmetry, content, table))
         for channel, name in enumerate(BLOCKS[content]):
             file.write(f"{name}\nDataBegin\n")

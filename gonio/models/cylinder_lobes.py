@@ -37,7 +37,7 @@ def rough(profile: tuple[bool, float, float, float], lobes: Array, masking: int,
 
 
 @kernel
-def _lambertian(ridges, d, edge, w, wi, wo, value):  # type: ignore[no-untyped-def]
+def _lambertian(ridges, d, edge, w, wi, wo, value):
     for i in range(value.size):
         value[i] = 0.0
         if wi[i, 2] <= 0.0 or wo[i, 2] <= 0.0:
@@ -53,7 +53,7 @@ def _lambertian(ridges, d, edge, w, wi, wo, value):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _rough(ridges, d, edge, w, lobes, masking, wi, wo, nodes, weights, value):  # type: ignore[no-untyped-def]
+def _rough(ridges, d, edge, w, lobes, masking, wi, wo, nodes, weights, value):
     breaks = np.empty(20)
     for i in range(value.size):
         value[i] = 0.0
@@ -80,7 +80,7 @@ def _rough(ridges, d, edge, w, lobes, masking, wi, wo, nodes, weights, value):  
 
 
 @kernel
-def _facet(lobes, masking, nh, cosine, ni, no):  # type: ignore[no-untyped-def]
+def _facet(lobes, masking, nh, cosine, ni, no):
     """D G of a surface element, from the cosines of the half vector and both directions to its normal."""
     if ni <= 0.0 or no <= 0.0:
         return 0.0
@@ -103,7 +103,7 @@ def _facet(lobes, masking, nh, cosine, ni, no):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _lambda(lobes, cosine):  # type: ignore[no-untyped-def]
+def _lambda(lobes, cosine):
     """Smith's Lambda of isotropic lobes for a direction of this cosine."""
     sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
     total = 0.0
@@ -119,7 +119,7 @@ def _lambda(lobes, cosine):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _arc(lobes, masking, u1, u2, hy, cos_h, cosine, d_i, cos_i, y_i, d_o, cos_o, y_o, nodes, weights, breaks):  # type: ignore[no-untyped-def]
+def _arc(lobes, masking, u1, u2, hy, cos_h, cosine, d_i, cos_i, y_i, d_o, cos_o, y_o, nodes, weights, breaks):
     """Integral of D G over normals at angles u1 to u2 from the half vector's projection.
 
     n.H = cos_h cos u and n.X = cos_X cos(u + d_X). Smooth between the breaks; within them closed forms where there are.
@@ -148,7 +148,7 @@ def _arc(lobes, masking, u1, u2, hy, cos_h, cosine, d_i, cos_i, y_i, d_o, cos_o,
 
 
 @kernel
-def _erf_difference(a, b):  # type: ignore[no-untyped-def]
+def _erf_difference(a, b):
     """erf(b) - erf(a) without cancellation in the tails."""
     if a > 0.0 and b > 0.0:
         return math.erfc(a) - math.erfc(b)
@@ -158,18 +158,18 @@ def _erf_difference(a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _beckmann_front(m, hy, cos_h):  # type: ignore[no-untyped-def]
+def _beckmann_front(m, hy, cos_h):
     """D = front (1 + t^2)^2 exp(-t^2 / mu^2) with t = tan u."""
     return math.exp(-((hy / (cos_h * m)) ** 2)) / (math.pi * m * m * cos_h**4)
 
 
 @kernel
-def _gauss(t, mu):  # type: ignore[no-untyped-def]
+def _gauss(t, mu):
     return math.exp(-((t / mu) ** 2)) if abs(t) < 30.0 * mu else 0.0
 
 
 @kernel
-def _beckmann_plain(m, t1, t2, hy, cos_h):  # type: ignore[no-untyped-def]
+def _beckmann_plain(m, t1, t2, hy, cos_h):
     mu = m * cos_h
     errors = 0.5 * math.sqrt(math.pi) * mu * (1.0 + 0.5 * mu * mu) * _erf_difference(t1 / mu, t2 / mu)
     edges = _tail(t2, mu) - _tail(t1, mu)
@@ -177,12 +177,12 @@ def _beckmann_plain(m, t1, t2, hy, cos_h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _tail(t, mu):  # type: ignore[no-untyped-def]
+def _tail(t, mu):
     return t * math.exp(-((t / mu) ** 2)) if abs(t) < 30.0 * mu else 0.0
 
 
 @kernel
-def _ggx_plain(alpha, t1, t2, hy, cos_h):  # type: ignore[no-untyped-def]
+def _ggx_plain(alpha, t1, t2, hy, cos_h):
     square = hy * hy + (alpha * cos_h) ** 2
     a = math.sqrt(square)
     angle = math.atan(t2 / a) - math.atan(t1 / a)
@@ -191,7 +191,7 @@ def _ggx_plain(alpha, t1, t2, hy, cos_h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _beckmann_cavity(m, u1, u2, hy, cos_h, cosine, d_i, cos_i, d_o, cos_o):  # type: ignore[no-untyped-def]
+def _beckmann_cavity(m, u1, u2, hy, cos_h, cosine, d_i, cos_i, d_o, cos_o):
     """With G the smallest of 1, G_i and G_o, the same one all the way from u1 to u2."""
     u = 0.5 * (u1 + u2)
     t1, t2 = math.tan(u1), math.tan(u2)
@@ -207,7 +207,7 @@ def _beckmann_cavity(m, u1, u2, hy, cos_h, cosine, d_i, cos_i, d_o, cos_o):  # t
 
 
 @kernel
-def _quadrature(lobes, j, masking, u1, u2, hy, cos_h, cosine, d_i, cos_i, d_o, cos_o, nodes, weights):  # type: ignore[no-untyped-def]
+def _quadrature(lobes, j, masking, u1, u2, hy, cos_h, cosine, d_i, cos_i, d_o, cos_o, nodes, weights):
     """Gauss-Legendre in tan u, clipped to Beckmann's lobe, or in atan(tan u / A), in which GGX is smooth."""
     gaussian = lobes[j, 0] == BECKMANN
     if gaussian:
@@ -237,7 +237,7 @@ def _quadrature(lobes, j, masking, u1, u2, hy, cos_h, cosine, d_i, cos_i, d_o, c
 
 
 @kernel
-def _breaks(masking, u1, u2, tan_h, d_i, cos_i, y_i, d_o, cos_o, y_o, breaks):  # type: ignore[no-untyped-def]
+def _breaks(masking, u1, u2, tan_h, d_i, cos_i, y_i, d_o, cos_o, y_o, breaks):
     """Ends and kinks of the integrand, sorted; how many there are."""
     breaks[0], count = u1, 1
     if masking == 1:

@@ -27,7 +27,7 @@ def strip_width(distance: float, floor: float) -> float:
 
 
 @kernel
-def visible(ridges, d, edge, w, psi):  # type: ignore[no-untyped-def]
+def visible(ridges, d, edge, w, psi):
     """What is seen from the projected angle psi: arc from phi_lo to phi_hi, strip from xi_lo to xi_hi.
 
     A single interval of each. On ridges the near side ends where the surface turns away, the far side on the line that
@@ -40,7 +40,7 @@ def visible(ridges, d, edge, w, psi):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _leaning(ridges, d, edge, w, psi):  # type: ignore[no-untyped-def]
+def _leaning(ridges, d, edge, w, psi):
     """`visible` for psi >= 0."""
     if psi <= HALF_PI - edge:
         return -edge, edge, 0.0, w
@@ -53,7 +53,7 @@ def _leaning(ridges, d, edge, w, psi):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def shared(ridges, d, edge, w, psi_i, psi_o):  # type: ignore[no-untyped-def]
+def shared(ridges, d, edge, w, psi_i, psi_o):
     """What is both lit and seen: the arc from phi_1 to phi_2 (none if phi_2 < phi_1), and a width of the strip."""
     lo_i, hi_i, xi_lo_i, xi_hi_i = visible(ridges, d, edge, w, psi_i)
     lo_o, hi_o, xi_lo_o, xi_hi_o = visible(ridges, d, edge, w, psi_o)

@@ -31,7 +31,7 @@ isotropic surface of 60 correlation lengths differ by 0.03."""
 
 
 @kernel
-def density(lobes, x, y, z):  # type: ignore[no-untyped-def]
+def density(lobes, x, y, z):
     """D at a facet normal (x, y, z): the sum over lobes."""
     if z <= 0.0:
         return 0.0
@@ -53,7 +53,7 @@ def density(lobes, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def smith_lambda(lobes, x, y, z):  # type: ignore[no-untyped-def]
+def smith_lambda(lobes, x, y, z):
     """Smith's Lambda for a direction above the horizon; linear in the lobes, as the slopes' density is."""
     total = 0.0
     for j in range(lobes.shape[0]):
@@ -70,13 +70,13 @@ def smith_lambda(lobes, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _densities(lobes, wm, result):  # type: ignore[no-untyped-def]
+def _densities(lobes, wm, result):
     for i in range(wm.shape[0]):
         result[i] = density(lobes, wm[i, 0], wm[i, 1], wm[i, 2])
 
 
 @kernel
-def _lambdas(lobes, w, result):  # type: ignore[no-untyped-def]
+def _lambdas(lobes, w, result):
     for i in range(w.shape[0]):
         result[i] = smith_lambda(lobes, w[i, 0], w[i, 1], w[i, 2])
 

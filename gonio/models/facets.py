@@ -53,7 +53,7 @@ def _rows(w: Vectors, shape: tuple[int, ...]) -> Array:
 
 
 @kernel
-def masked(lobes, code, wix, wiy, wiz, wox, woy, woz, hz, cosine):  # type: ignore[no-untyped-def]
+def masked(lobes, code, wix, wiy, wiz, wox, woy, woz, hz, cosine):
     """G2 of the masking with this code; `cosine` is that of the angle between wi and the half vector."""
     if code == 1:
         return min(1.0, 2.0 * hz * min(wiz, woz) / cosine)
@@ -64,7 +64,7 @@ def masked(lobes, code, wix, wiy, wiz, wox, woy, woz, hz, cosine):  # type: igno
 
 
 @kernel
-def _specular(lobes, code, eta, k, wi, wo, value):  # type: ignore[no-untyped-def]
+def _specular(lobes, code, eta, k, wi, wo, value):
     """Fill `value` (n, W) for rows of directions, of which a single one serves for all."""
     lamps, eyes = wi.shape[0] > 1, wo.shape[0] > 1
     for i in range(value.shape[0]):

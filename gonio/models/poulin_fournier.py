@@ -320,7 +320,7 @@ class PoulinFournier:
         return finest
 
 
-def _bisected(free, a: float, b: float, free_at_a: bool) -> float:  # type: ignore[no-untyped-def]
+def _bisected(free, a: float, b: float, free_at_a: bool) -> float:
     """Where `free` changes between a and b."""
     for _ in range(60):
         middle = (a + b) / 2

@@ -256,7 +256,7 @@ def _indices(material: Specular, wavelengths: ArrayLike) -> tuple[Array, Array]:
 
 
 @kernel
-def _lobe_area(lobes, j, x, y, z):  # type: ignore[no-untyped-def]
+def _lobe_area(lobes, j, x, y, z):
     """`projected_area` of one lobe."""
     c, s = lobes[j, 4], lobes[j, 5]
     tangent = math.hypot(lobes[j, 2] * (c * x + s * y), lobes[j, 3] * (c * y - s * x))
@@ -271,7 +271,7 @@ def _lobe_area(lobes, j, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def projected_area(lobes, x, y, z):  # type: ignore[no-untyped-def]
+def projected_area(lobes, x, y, z):
     """Area of the facets that face a direction, projected along it, per area of the plane.
 
     z (1 + Lambda) above the horizon, -z Lambda of the opposite direction below it, and finite in between.
@@ -283,7 +283,7 @@ def projected_area(lobes, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _chosen_lobe(lobes, x, y, z, u):  # type: ignore[no-untyped-def]
+def _chosen_lobe(lobes, x, y, z, u):
     """A lobe, with a probability proportional to its projected area."""
     rest = u * projected_area(lobes, x, y, z)
     for j in range(lobes.shape[0] - 1):
@@ -294,7 +294,7 @@ def _chosen_lobe(lobes, x, y, z, u):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _beckmann_slopes(c, walk, step, k0, k1):  # type: ignore[no-untyped-def]
+def _beckmann_slopes(c, walk, step, k0, k1):
     """Slopes (q, p) with density max(0, q + c) exp(-q^2 - p^2): towards the viewer, at elevation arccot c, and across.
 
     Exact rejection: tangents bound the logarithm of the density, from a Gaussian about its maximum if c is positive,
@@ -320,7 +320,7 @@ def _beckmann_slopes(c, walk, step, k0, k1):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _ggx_normal(x, y, z, walk, step, k0, k1):  # type: ignore[no-untyped-def]
+def _ggx_normal(x, y, z, walk, step, k0, k1):
     """A vector along the normal of a unit hemisphere as seen from (x, y, z), which is a unit vector.
 
     Its mirror directions fill a spherical cap evenly (J. Dupuy, A. Benyoub, Sampling Visible GGX Normals with Spherical
@@ -335,7 +335,7 @@ def _ggx_normal(x, y, z, walk, step, k0, k1):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def visible_normal(lobes, x, y, z, walk, step, k0, k1):  # type: ignore[no-untyped-def]
+def visible_normal(lobes, x, y, z, walk, step, k0, k1):
     """A facet normal m with density max(0, v.m) D(m) / `projected_area`(v), for any direction v = (x, y, z).
 
     Stretched by 1 / alpha, a lobe is isotropic with alpha = 1.
@@ -360,7 +360,7 @@ def visible_normal(lobes, x, y, z, walk, step, k0, k1):  # type: ignore[no-untyp
 
 
 @kernel
-def _reflected(x, y, z, mx, my, mz, cosine):  # type: ignore[no-untyped-def]
+def _reflected(x, y, z, mx, my, mz, cosine):
     """The mirror image of (x, y, z), a unit vector again."""
     x, y, z = 2.0 * cosine * mx - x, 2.0 * cosine * my - y, 2.0 * cosine * mz - z
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
@@ -371,13 +371,13 @@ def _reflected(x, y, z, mx, my, mz, cosine):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _exponential(walk, step, k0, k1):  # type: ignore[no-untyped-def]
+def _exponential(walk, step, k0, k1):
     """How many facets' worth of depth a path goes before it meets one."""
     return -math.log(uniform(philox(walk, walk >> 32, step, _PATH, k0, k1)[0]))
 
 
 @kernel
-def _walk(lobes, eta, k, wi, first, key, directions, hits, weights, once):  # type: ignore[no-untyped-def]
+def _walk(lobes, eta, k, wi, first, key, directions, hits, weights, once):
     """Follow as many paths as there is room for, from number `first` on, all of them past their second facet.
 
     What escapes from the first is noted instead of being drawn. Integrated over both depths it is a share a / (a + b)
@@ -415,7 +415,7 @@ def _walk(lobes, eta, k, wi, first, key, directions, hits, weights, once):  # ty
 
 
 @kernel
-def _next_facet(depth, z, area, out):  # type: ignore[no-untyped-def]
+def _next_facet(depth, z, area, out):
     """Probability that light going on from `depth` meets a next facet and then escapes, divided by `area`.
 
     `area` is projected against the light, `out` is Lambda of the direction of escape: exp(-out t) is integrated over
@@ -430,7 +430,7 @@ def _next_facet(depth, z, area, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _next_events(lobes, eta, k, wi, wo, first, stop, key, value):  # type: ignore[no-untyped-def]
+def _next_events(lobes, eta, k, wi, wo, first, stop, key, value):
     """Add to `value` (orders + 1, n, W), for every pair of rows, what walks send from all facets but their first."""
     last, weights, k0, k1 = value.shape[0] - 1, np.empty(value.shape[2]), key[0], key[1]
     for i in range(wi.shape[0]):
@@ -480,7 +480,7 @@ def _collect(detector: Detector, wi: Vectors, exits: _Exits, caught: Array) -> N
 
 
 @kernel
-def _sort(places, hits, weights, caught):  # type: ignore[no-untyped-def]
+def _sort(places, hits, weights, caught):
     """Into the bins `places` (n,)."""
     for i in range(hits.size):
         order = min(hits[i], caught.shape[0] - 1)
@@ -490,7 +490,7 @@ def _sort(places, hits, weights, caught):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sight(directions, hits, weights, axes, cosine, caught):  # type: ignore[no-untyped-def]
+def _sight(directions, hits, weights, axes, cosine, caught):
     """Into every aperture that sees them."""
     for i in range(hits.size):
         order = min(hits[i], caught.shape[0] - 1)

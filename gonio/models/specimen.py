@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import tomli_w
 from pydantic import TypeAdapter, ValidationError
 
-from gonio.models import Model
+from gonio.detectors import Klems
+from gonio.models import Model, matching
 from gonio.models.parameters import BOUNDS, give_way, put
 from gonio.optics import DIELECTRICS, Lambertian, Material
+from gonio.toml_files import InputError, kind_first, read_toml
+from microsurfaces.atomic_write import atomic_write
 from microsurfaces.recipe import did_you_mean, from_toml, members, parameters, sentences
+
+if TYPE_CHECKING:
+    from gonio.measurement import Measurement
 
 _CHOICES = {"masking": "SmithCorrelated", "distribution": "Beckmann"}
 """Parts that a model has where nothing else is said."""
@@ -147,3 +155,61 @@ def _as_table(model: Model) -> dict[str, Any]:
 
 def _in_words(error: ValueError, expected: Any) -> str:
     return " ".join(sentences(error, expected)) if isinstance(error, ValidationError) else str(error)
+
+
+def models_for(measurement: Measurement, names: Iterable[str] | None = None, to_fit: bool = False) -> tuple[Model, ...]:
+    """The models that `names` describe, or those that fit, with the measured specimen's own roughness and material.
+
+    A name may have settings, "cook-torrance m=0.3 k_d=0.1", or be a TOML file with tables [[model]] that have a `kind`
+    and settings. What is not said is the specimen's; `to_fit` fills in what it does not tell, too. A measurement that
+    comes from elsewhere does not tell roughness and material, and no model speaks of light from Klems's patches: none
+    fits by itself. Raises `InputError` with a
+    sentence for each name that is none, or that cannot describe the specimen.
+    """
+    specimen = Specimen(measurement.surface_statistics, measurement.material, measurement.surface)
+    if names is None:
+        if specimen.material is None or isinstance(measurement.detector, Klems):
+            return ()
+        return matching(specimen.statistics, specimen.material, specimen.surface)
+    models: list[Model] = []
+    mistakes: list[str] = []
+    for name in names:
+        try:
+            models += (
+                _models_of_file(Path(name), specimen, to_fit)
+                if name.endswith(".toml")
+                else [specimen.described(name, to_fit)]
+            )
+        except InputError as error:
+            mistakes += error.sentences
+        except ValueError as error:
+            mistakes.append(f"{name}: {error}")
+    if mistakes:
+        raise InputError(*mistakes)
+    return tuple(models)
+
+
+def _models_of_file(path: Path, specimen: Specimen, to_fit: bool) -> list[Model]:
+    """The models of a TOML file's tables [[model]]; `InputError` in a sentence for each mistake."""
+    tables = read_toml(path, "it needs tables [[model]] with a kind").get("model")
+    tables = [tables] if isinstance(tables, dict) else tables
+    if not isinstance(tables, list) or not all(isinstance(table, dict) and "kind" in table for table in tables):
+        raise InputError(f'{path}: has no tables [[model]] with a kind, such as [[model]] kind = "CookTorrance".')
+    models, mistakes = [], []
+    for number, table in enumerate(tables, 1):
+        kind = str(table["kind"])
+        try:
+            models.append(specimen.model(kind, {k: v for k, v in table.items() if k != "kind"}, to_fit))
+        except ValueError as error:
+            mistakes.append(f"{path}, model {number}, {kind}: {error}")
+    if mistakes:
+        raise InputError(*mistakes)
+    return models
+
+
+def write_models(models: Iterable[Model], path: str | Path) -> Path:
+    """Write models as tables [[model]] of a TOML file, which `models_for` reads."""
+    tables = [TypeAdapter(type(model)).dump_python(model, mode="json", exclude_none=True) for model in models]
+    with atomic_write(Path(path)) as temporary:
+        temporary.write_text(tomli_w.dumps({"model": [kind_first(table) for table in tables]}), encoding="utf-8")
+    return Path(path)

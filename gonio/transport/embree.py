@@ -122,7 +122,7 @@ def _empty_wave(size: int, wavelengths: int) -> PathState:
 
 
 @kernel
-def _launch(state, active, first, count, paths, first_replicate, turns, source, tile):  # type: ignore[no-untyped-def]
+def _launch(state, active, first, count, paths, first_replicate, turns, source, tile):
     """Start `count` paths on the plane above the tile.
 
     A replicate starts one in each of `paths` equal cells along a Morton curve; all replicates of the group start in a
@@ -156,7 +156,7 @@ def _launch(state, active, first, count, paths, first_replicate, turns, source, 
 
 
 @kernel
-def _to_edge(x, y, dx, dy, half_x, half_y):  # type: ignore[no-untyped-def]
+def _to_edge(x, y, dx, dy, half_x, half_y):
     """Distance along a ray to the side at ±half_x or ±half_y that it meets first; inf if it is vertical."""
     distance = np.inf
     if dx != 0:
@@ -167,7 +167,7 @@ def _to_edge(x, y, dx, dy, half_x, half_y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _serves(sx, sy, sz, dx, dy, dz, nx, ny, nz):  # type: ignore[no-untyped-def]
+def _serves(sx, sy, sz, dx, dy, dz, nx, ny, nz):
     """Whether light can be reflected about the exact normal (sx, sy, sz) of a chord with the normal (nx, ny, nz).
 
     Close to a silhouette it may face away from the ray, or send it through the chord.
@@ -177,7 +177,7 @@ def _serves(sx, sy, sz, dx, dy, dz, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _wrapped(position, half):  # type: ignore[no-untyped-def]
+def _wrapped(position, half):
     """A coordinate brought back into the tile."""
     if position > half:
         return position - 2 * half
@@ -187,7 +187,7 @@ def _wrapped(position, half):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _pass_on(x, y, z, dx, dy, dz, reach, tile):  # type: ignore[no-untyped-def]
+def _pass_on(x, y, z, dx, dy, dz, reach, tile):
     """A ray that meets nothing before the far side of the seam escapes at the top or re-enters opposite.
 
     Returns its termination and where it goes on.
@@ -205,7 +205,7 @@ def _pass_on(x, y, z, dx, dy, dz, reach, tile):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _move(state, active, found, facets, tile, optics, source, first_replicate):  # type: ignore[no-untyped-def]
+def _move(state, active, found, facets, tile, optics, source, first_replicate):
     """Move every path past its next event, and note its termination. Returns how many have been reflected."""
     primitives, distances, us, vs = found
     normals, corner_normals = facets
@@ -265,7 +265,7 @@ def _move(state, active, found, facets, tile, optics, source, first_replicate): 
 
 
 @kernel
-def _settle(state, active, tile, ledger):  # type: ignore[no-untyped-def]
+def _settle(state, active, tile, ledger):
     """Enter in the ledger what has ended and close up the rest at the front. Returns how many are still in flight.
 
     What a path lost on its way is absorbed; what it still carries when it ends is truncated or lost, or has escaped.

@@ -3,10 +3,10 @@
 Everything is done for many paths at once, in short loops whose turns do not depend on each other: the processor then
 works on several paths at a time. First hits under parallel light are guessed by Newton's method on the facets and
 accepted where it is proven that nothing stands before them; a reflected path has escaped where that is proven (see
-`accelerator.Accelerator`). All others go from cell to cell, or from node to node of the quadtree where they pass above it, and find
-the very same hits: what is proven changes nothing but the time.
+`accelerator.Accelerator`). All others go from cell to cell, or from node to node of the quadtree where they pass above
+it, and find the very same hits: what is proven changes nothing but the time.
 
-A path in flight is above the surface where it crosses the triangles of the cells' triangles; it hits the first facet that
+A path in flight is above the surface where it crosses the sides of the cells' triangles; it hits the first facet that
 takes it below. There is no offset to restart from and no edge to slip through: the facet that a path leaves cannot be
 its next, and nothing is ever lost.
 """
@@ -98,8 +98,8 @@ class PathState(NamedTuple):
         normals, weights = np.zeros((lanes, 3)), np.zeros((lanes, wavelengths))
         arrivals = np.zeros((lanes + 1, 2), np.int64)
         return cls(
-            x, y, z, dx, dy, dz, way, i, j, triangle, cosines, normals, weights, paths, slots, hits, terminations, active,
-            struck, arrivals,
+            x, y, z, dx, dy, dz, way, i, j, triangle, cosines, normals, weights, paths, slots, hits, terminations,
+            active, struck, arrivals,
         )  # fmt: skip
 
 
@@ -152,8 +152,8 @@ def trace(
     for first in range(0, paths, ROUNDS * at_once):
         last = min(paths, first + ROUNDS * at_once)
         rays = _advance(
-            state, accelerator, source, illumination, optics, bins, turns, replicates.start, paths, first, last, scores.bins,
-            scores.ledger,
+            state, accelerator, source, illumination, optics, bins, turns, replicates.start, paths, first, last,
+            scores.bins, scores.ledger,
         )  # fmt: skip
         if not advanced((last - first) * slots, rays):
             return False
@@ -166,7 +166,7 @@ def trace(
 @kernel
 def _advance(
     state, accelerator, source, illumination, optics, bins, turns, first_replicate, paths, first, last, scored, ledger
-):  # type: ignore[no-untyped-def]
+):
     """Follow the paths from `first` to `last` of all replicates to their ends. Returns how many rays they are."""
     at_once = state.x.size // turns.size
     # The bundle that the last path belonged to, level by level: its node, and how far it is free.
@@ -203,13 +203,13 @@ def _advance(
             struck, near = 0, True
         if bins.sector_edges.size:
             score(
-                count, directions, state.terminations, state.weights, state.paths, state.slots, state.hits, bins, source,
-                turns, scored, state.arrivals,
+                count, directions, state.terminations, state.weights, state.paths, state.slots, state.hits, bins,
+                source, turns, scored, state.arrivals,
             )  # fmt: skip
         else:
             score_apertures(
-                count, directions, state.terminations, state.weights, state.paths, state.slots, state.hits, bins, source,
-                turns, scored,
+                count, directions, state.terminations, state.weights, state.paths, state.slots, state.hits, bins,
+                source, turns, scored,
             )  # fmt: skip
         _enter_in_ledger(state, count, ledger)
         first += some
@@ -217,7 +217,7 @@ def _advance(
 
 
 @kernel
-def _launch(state, first, some, paths, first_replicate, turns, source, illumination, accelerator):  # type: ignore[no-untyped-def]
+def _launch(state, first, some, paths, first_replicate, turns, source, illumination, accelerator):
     """Start `some` paths from `first` on in all replicates, on the plane that touches the highest point."""
     ny, nx = accelerator.heights.shape[0] - 1, accelerator.heights.shape[1] - 1
     x, y, dx, dy, dz = state.x, state.y, state.dx, state.dy, state.dz
@@ -246,7 +246,7 @@ def _launch(state, first, some, paths, first_replicate, turns, source, illuminat
 
 
 @kernel
-def _triangle_at(x, y, odd):  # type: ignore[no-untyped-def]
+def _triangle_at(x, y, odd):
     """Which triangle of a cell lies under (x, y), both in 0 to 1: above its diagonal or below.
 
     The diagonal runs from (1, 0) to (0, 1), in odd cells from (0, 0) to (1, 1).
@@ -255,7 +255,7 @@ def _triangle_at(x, y, odd):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _facet(triangle, odd, h00, h10, h01, h11):  # type: ignore[no-untyped-def]
+def _facet(triangle, odd, h00, h10, h01, h11):
     """A triangle of a cell from the heights of its corners, the first index for x.
 
     Returns its slopes along x and y, µm per cell, and its height at (0, 0), or at (1, 1) for the upper one.
@@ -266,7 +266,7 @@ def _facet(triangle, odd, h00, h10, h01, h11):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _drop(state, count, accelerator):  # type: ignore[no-untyped-def]
+def _drop(state, count, accelerator):
     """Vertical light hits what lies under it."""
     heights, x, y, z = accelerator.heights, state.x, state.y, state.z
     columns, rows, triangles, struck = state.i, state.j, state.triangle, state.struck
@@ -285,7 +285,7 @@ def _drop(state, count, accelerator):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _approach(state, count, illumination, accelerator, nodes, ways):  # type: ignore[no-untyped-def]
+def _approach(state, count, illumination, accelerator, nodes, ways):
     """How far the bundle is free that each path belongs to."""
     ny, nx = accelerator.heights.shape[0] - 1, accelerator.heights.shape[1] - 1
     max_mipmap, offsets, widths = accelerator.dilated_mipmap, accelerator.offsets, accelerator.widths
@@ -310,7 +310,7 @@ def _approach(state, count, illumination, accelerator, nodes, ways):  # type: ig
 
 
 @kernel
-def _free_way(x, y, z, dx, dy, dz, way, level, nx, ny, max_mipmap, width):  # type: ignore[no-untyped-def]
+def _free_way(x, y, z, dx, dy, dz, way, level, nx, ny, max_mipmap, width):
     """How far a ray, free up to `way`, goes on before it is no higher than the node of a level that it is in."""
     shift_x, shift_y = math.floor((x + dx * way) / nx) * nx, math.floor((y + dy * way) / ny) * ny
     x, y = x - shift_x, y - shift_y
@@ -336,19 +336,19 @@ def _free_way(x, y, z, dx, dy, dz, way, level, nx, ny, max_mipmap, width):  # ty
 
 
 @kernel
-def _within(x, node, level, n):  # type: ignore[no-untyped-def]
+def _within(x, node, level, n):
     """The cell of a coordinate that lies, but for rounding, in a node; the last node of `n` cells may be narrower."""
     return min(max(np.int64(x), node << level), min((node + 1) << level, n) - 1)
 
 
 @kernel
-def _beyond(i, n):  # type: ignore[no-untyped-def]
+def _beyond(i, n):
     """1 or -1 for a cell that lies beyond the tile's far or near side, else 0."""
     return np.int64(i >= n) - np.int64(i < 0)
 
 
 @kernel
-def _enter(state, count, accelerator):  # type: ignore[no-untyped-def]
+def _enter(state, count, accelerator):
     """Bring every path into the tile and the cell where it ceases to be free."""
     ny, nx = accelerator.heights.shape[0] - 1, accelerator.heights.shape[1] - 1
     per_x, per_y = 1.0 / accelerator.spacing[0], 1.0 / accelerator.spacing[1]
@@ -363,13 +363,13 @@ def _enter(state, count, accelerator):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _certain(dx, dy, dz, horizon_slope2):  # type: ignore[no-untyped-def]
+def _certain(dx, dy, dz, horizon_slope2):
     """Whether light in a direction, per cell, is certain to escape where the table says so for its sector."""
     return (dz > 0) & (dz * dz > horizon_slope2 * (dx * dx + dy * dy))
 
 
 @kernel
-def _guess(state, count, accelerator):  # type: ignore[no-untyped-def]
+def _guess(state, count, accelerator):
     """Find first hits by Newton's method. Returns how many are proven, and how many have to be searched for.
 
     What the source is certain to see is the first that its light meets. Neighbours hit close to each other: what the
@@ -409,7 +409,7 @@ def _guess(state, count, accelerator):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _improve(state, count, step, accelerator):  # type: ignore[no-untyped-def]
+def _improve(state, count, step, accelerator):
     """One step of Newton's method for every `step`-th path: meet the plane of the facet that lies under the guess."""
     x, y, dx, dy, dz, ways, facets = (
         state.x, state.y, state.dx, state.dy, state.dz, state.cosines, state.arrivals,
@@ -435,7 +435,7 @@ def _improve(state, count, step, accelerator):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _walk(state, count, struck, accelerator, near):  # type: ignore[no-untyped-def]
+def _walk(state, count, struck, accelerator, near):
     """Find the next hit of every active path; returns how many are now in `struck`. The others have ended.
 
     `near` says that they start close to the surface, and so from cell to cell.
@@ -531,7 +531,7 @@ def _walk(state, count, struck, accelerator, near):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _meet(x, y, z, dx, dy, dz, odd, own, way, to_x, to_y, right, up, h00, h10, h01, h11):  # type: ignore[no-untyped-def]
+def _meet(x, y, z, dx, dy, dz, odd, own, way, to_x, to_y, right, up, h00, h10, h01, h11):
     """Where a ray that enters a cell after `way` meets it: (triangle, way), the triangle -1 if it does not.
 
     The cell is [0, 1]², (x, y, z) where the ray begins. A facet is met if the ray is below it where it leaves it,
@@ -562,7 +562,7 @@ def _meet(x, y, z, dx, dy, dz, odd, own, way, to_x, to_y, right, up, h00, h10, h
 
 
 @kernel
-def _normals(state, count, accelerator):  # type: ignore[no-untyped-def]
+def _normals(state, count, accelerator):
     """Put the normals of the facets that have been struck where the struck paths are listed."""
     per_x, per_y = 1.0 / accelerator.spacing[0], 1.0 / accelerator.spacing[1]
     heights, rows, columns, triangles, struck, normals = (
@@ -581,7 +581,7 @@ def _normals(state, count, accelerator):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _mirror(state, count):  # type: ignore[no-untyped-def]
+def _mirror(state, count):
     """Reflect the paths that have been struck."""
     xs, ys, zs, struck, normals, cosines, hits = (
         state.dx, state.dy, state.dz, state.struck, state.normals, state.cosines, state.hits,
@@ -599,7 +599,7 @@ def _mirror(state, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _diffuse(state, count, first_replicate, source):  # type: ignore[no-untyped-def]
+def _diffuse(state, count, first_replicate, source):
     """Send the paths that have been struck off in a direction of their own."""
     xs, ys, zs, struck, normals = state.dx, state.dy, state.dz, state.struck, state.normals
     paths, slots, hits = state.paths, state.slots, state.hits
@@ -612,7 +612,7 @@ def _diffuse(state, count, first_replicate, source):  # type: ignore[no-untyped-
 
 
 @kernel
-def _search(state, count, accelerator, spent):  # type: ignore[no-untyped-def]
+def _search(state, count, accelerator, spent):
     """Sort out who is certain to escape; returns how many of the struck have to be followed on."""
     per_x, per_y = 1.0 / accelerator.spacing[0], 1.0 / accelerator.spacing[1]
     horizon_code, horizon_slope2 = accelerator.horizon_code, accelerator.horizon_slope2
@@ -640,7 +640,7 @@ def _search(state, count, accelerator, spent):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _enter_in_ledger(state, count, ledger):  # type: ignore[no-untyped-def]
+def _enter_in_ledger(state, count, ledger):
     """What a path lost on its way is absorbed; what it still carries when it ends has escaped or is truncated."""
     weights, slots, terminations = state.weights, state.slots, state.terminations
     for n in range(count):

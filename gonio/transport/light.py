@@ -40,21 +40,21 @@ def surface_optics(material: Material, wavelengths: NDArray[np.float64]) -> Surf
 
 
 @kernel
-def unit(x, y, z):  # type: ignore[no-untyped-def]
+def unit(x, y, z):
     """A vector at length 1."""
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
 
 
 @kernel
-def mirrored(dx, dy, dz, nx, ny, nz):  # type: ignore[no-untyped-def]
+def mirrored(dx, dy, dz, nx, ny, nz):
     """The direction of travel after a mirror reflection."""
     twice = 2 * (dx * nx + dy * ny + dz * nz)
     return dx - twice * nx, dy - twice * ny, dz - twice * nz
 
 
 @kernel
-def cosine_direction(r0, r1, nx, ny, nz):  # type: ignore[no-untyped-def]
+def cosine_direction(r0, r1, nx, ny, nz):
     """A direction about the normal with density cosθ/π."""
     radius, angle = math.sqrt(uniform(r0)), 2 * math.pi * uniform(r1)
     a, b = radius * math.cos(angle), radius * math.sin(angle)
@@ -69,7 +69,7 @@ def cosine_direction(r0, r1, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def attenuate(struck, count, cosines, optics, weights, hits, terminations):  # type: ignore[no-untyped-def]
+def attenuate(struck, count, cosines, optics, weights, hits, terminations):
     """Weaken the paths `struck[:count]` that have been reflected at `cosines`. Returns how many are spent by it."""
     eta, k, reflectance, width = optics.eta, optics.k, optics.reflectance, weights.shape[1]
     if optics.kind == FRESNEL and optics.table.shape[0]:
@@ -94,7 +94,7 @@ def attenuate(struck, count, cosines, optics, weights, hits, terminations):  # t
 
 
 @kernel
-def _look_up(struck, count, cosines, table, weights):  # type: ignore[no-untyped-def]
+def _look_up(struck, count, cosines, table, weights):
     """Multiply by the polynomials of `optics.fresnel_table`; rows are taken out so that wavelengths go abreast."""
     intervals = table.shape[0]
     for n in range(count):

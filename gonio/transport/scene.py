@@ -1,4 +1,4 @@
-"""The traced sample: a accelerator, or Embree over one period of a mesh and a seam around it. The only importer of embreex.
+"""The traced sample: tables of a height field, or Embree over one period of a mesh. The only importer of embreex.
 
 The tile is the box of one period, centred on the origin so that float32 coordinates stay small. Triangles of the
 neighbouring periods that reach into a seam around the tile are added, so that a ray which leaves the tile is known to
@@ -49,7 +49,7 @@ class Tile(NamedTuple):
 class Scene:
     """A relief and its material, ready to be traced.
 
-    `relief` is a `HeightField` or a `Mesh`; `material` a material recipe. A height field is traced by its own `accelerator`
+    `relief` is a `HeightField` or a `Mesh`; `material` a material recipe. A height field has its own `accelerator`
     (0.2 s per million nodes to build). For any mesh, and so for one with overhangs or walls, Embree's acceleration
     structure is built (about 1 s per million triangles); `relief.mesh()` has Embree trace a height field too. A scene
     can be shared by any number of measurements and threads.

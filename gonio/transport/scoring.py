@@ -41,7 +41,7 @@ class Bins(NamedTuple):
     first_sectors: NDArray[np.int64]
     """(tables, steps), the azimuth bin in which each of many steps around the circle begins."""
     turn: float
-    """Azimuth of the traced frame that the bins count from, in turns: the light's for a accelerator, 0 for apertures."""
+    """Azimuth of the traced frame that the bins count from, in turns: the light's for a grid, 0 for apertures."""
     axes: NDArray[np.float64]
     cosine: float
     """Of the apertures' half angle."""
@@ -113,7 +113,7 @@ def _sector_table(sectors: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 @kernel
-def total_up(scored):  # type: ignore[no-untyped-def]
+def total_up(scored):
     """Fill in the whole hemisphere, the last bin, from all others: escaped is their sum, not a second counter."""
     orders, places, slots, width = scored.shape
     for order in range(orders):
@@ -132,7 +132,7 @@ def balance(scores: Scores, paths: int) -> None:
 
 
 @kernel
-def score(count, directions, terminations, weights, paths, slots, hits, bins, source, turns, scored, arrivals):  # type: ignore[no-untyped-def]
+def score(count, directions, terminations, weights, paths, slots, hits, bins, source, turns, scored, arrivals):
     """Add the paths that have escaped, of the first `count`, to their bins of rings.
 
     First the bins are found, then a short loop adds to them: they lie far apart in memory, and so the processor can
@@ -174,7 +174,7 @@ def score(count, directions, terminations, weights, paths, slots, hits, bins, so
 
 
 @kernel
-def _diamond(x, y):  # type: ignore[no-untyped-def]
+def _diamond(x, y):
     """The step around the circle in which a direction lies; the pole is in the first."""
     turn = y / (abs(x) + abs(y) + 1e-300)
     turn = 2.0 - turn if x < 0 else turn
@@ -182,19 +182,19 @@ def _diamond(x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _passed(x, y, edge_x, edge_y):  # type: ignore[no-untyped-def]
+def _passed(x, y, edge_x, edge_y):
     """Whether a direction lies on an edge or less than a quarter turn beyond it."""
     return (edge_x * y - edge_y * x >= 0) & (edge_x * x + edge_y * y > 0)
 
 
 @kernel
-def integer(weight):  # type: ignore[no-untyped-def]
+def integer(weight):
     """A weight in units of the sums."""
     return np.int64(weight * UNIT + 0.5)
 
 
 @kernel
-def score_apertures(count, directions, terminations, weights, paths, slots, hits, bins, source, turns, scored):  # type: ignore[no-untyped-def]
+def score_apertures(count, directions, terminations, weights, paths, slots, hits, bins, source, turns, scored):
     """Add the paths that have escaped to every aperture that sees them, and to the whole hemisphere."""
     xs, ys, zs = directions
     axes, width = bins.axes, weights.shape[1]

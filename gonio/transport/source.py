@@ -34,7 +34,7 @@ class Source(NamedTuple):
 
 
 @kernel
-def every_second_bit(x):  # type: ignore[no-untyped-def]
+def every_second_bit(x):
     """The even bits of a 64-bit word, closed up."""
     x &= uint64(0x5555555555555555)
     x = (x | (x >> uint64(1))) & uint64(0x3333333333333333)
@@ -45,20 +45,20 @@ def every_second_bit(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def replicate_turn(replicate, key):  # type: ignore[no-untyped-def]
+def replicate_turn(replicate, key):
     """Where a replicate's sequence of surface angles starts, in turns."""
     return uniform(philox(0, 0, replicate, 0xFFFFFFFF, key[0], key[1])[0])
 
 
 @kernel
-def surface_turn(path, turn, average):  # type: ignore[no-untyped-def]
+def surface_turn(path, turn, average):
     """How far the source is turned about the sample for this path, in turns: 0, or stratified and uniform."""
     fraction = path * _GOLDEN + turn
     return average * (fraction - math.floor(fraction))
 
 
 @kernel
-def incident(path, replicate, turn, source):  # type: ignore[no-untyped-def]
+def incident(path, replicate, turn, source):
     """The direction in which a path's light travels: cos-weighted over the source, and turned about the sample."""
     sine, cosine, phi = math.sin(source.theta), math.cos(source.theta), source.phi
     if source.patch[1] > 0:
@@ -84,7 +84,7 @@ def incident(path, replicate, turn, source):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def start(path, paths, word):  # type: ignore[no-untyped-def]
+def start(path, paths, word):
     """Where one of `paths` paths starts, as fractions of the tile along x and y: at random in its own of as many cells.
 
     The cells follow each other along a Morton curve, so that neighbours stay neighbours.

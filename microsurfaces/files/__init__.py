@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Discriminator, Tag
 
+from microsurfaces.atomic_write import atomic_write
 from microsurfaces.files import images, profilometry, x3p
 from microsurfaces.files.stored import MICROMETRES, Check, Stored, Unit, check_exists, check_map
 from microsurfaces.height_field import HeightField
@@ -173,7 +172,7 @@ def save_surface(relief: HeightField | Mesh, path: str | Path) -> None:
     if not path.parent.is_dir():
         raise ValueError(f"{path} cannot be written: the folder {path.parent} does not exist, create it first")
     try:
-        with replacing(path) as part:
+        with atomic_write(path) as part:
             if isinstance(relief, HeightField) and suffix in _MAP_WRITERS:
                 _MAP_WRITERS[suffix](relief, part)
             else:
@@ -182,21 +181,6 @@ def save_surface(relief: HeightField | Mesh, path: str | Path) -> None:
         raise ValueError(
             f"{path} cannot be written ({error}): choose a place that is writable and has space"
         ) from error
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path`, of the same suffix, that takes its place if the block succeeds.
-
-    Nothing is left behind if it fails. Raises OSError if the folder does not exist or cannot be written.
-    """
-    temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
-    temporary.touch()
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _read_map(path: Path, factor: int) -> Stored:

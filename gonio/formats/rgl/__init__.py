@@ -51,7 +51,7 @@ from numpy.typing import ArrayLike, NDArray
 from gonio.brdf import NOMINAL, Floats, Lobes
 from gonio.detectors import HemisphereGrid
 from gonio.sphere import Vectors, angles, direction, half_vector, reflect
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 Singles = NDArray[np.float32]
 Blend: TypeAlias = Sequence[tuple[NDArray[np.intp], Floats]]
@@ -387,7 +387,7 @@ def write(lobes: Lobes, path: Path, colour: bool) -> Sequence[str]:
         "jacobian": np.ones(1, np.uint8),
         "valid": np.packbits([answer.valid for answer in around]),
     }
-    with replacing(path) as scratch, scratch.open("wb") as file:
+    with atomic_write(path) as scratch, scratch.open("wb") as file:
         _store(file, fields)
     return [*_gaps(lobes), *_bent(answers)]
 

@@ -15,7 +15,7 @@ from gonio.detectors import HemisphereGrid
 from gonio.formats import FORMATS, exr, loss
 from gonio.measurement import tabulated
 from gonio.sphere import angles, direction, reflect, rotate_z
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
 THETA_I, PHI_I, WAVELENGTHS = [10.0, 30.25], [0.0, 250.0], [450.0, 632.8]
 GRID = HemisphereGrid(theta_step=10.0, phi_step=15.0)
@@ -233,7 +233,7 @@ def test_files_appear_whole_or_not_at_all(tmp_path):
     path.write_text("old")
 
     def fail():
-        with replacing(path) as temporary:
+        with atomic_write(path) as temporary:
             assert temporary.suffix == ".exr"
             temporary.write_text("half of the n")
             raise RuntimeError("the disc is full")
@@ -241,7 +241,7 @@ def test_files_appear_whole_or_not_at_all(tmp_path):
     with pytest.raises(RuntimeError):
         fail()
     assert [p.read_text() for p in tmp_path.iterdir()] == ["old"]
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text("new")
     assert [p.read_text() for p in tmp_path.iterdir()] == ["new"]
 

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gonio.tally import Wide
+from gonio.tally import UInt128
 
 weights = st.integers(0, 2**59)
 
@@ -16,7 +16,7 @@ def exact(wide):
 def test_squares_and_scatter_are_exact(rows):
     """Against Python's own unlimited integers."""
     values = np.array(rows, np.int64)
-    squares = Wide.zeros((2,))
+    squares = UInt128.zeros((2,))
     for row in values:
         squares.add_square(row)
     expected = [sum(int(x) ** 2 for x in column) for column in values.T]
@@ -31,7 +31,7 @@ def test_squares_and_scatter_are_exact(rows):
 @settings(deadline=None)  # the first call compiles
 @given(weights, weights)
 def test_addition_carries(a, b):
-    one, two = Wide.zeros((1,)), Wide.zeros((1,))
+    one, two = UInt128.zeros((1,)), UInt128.zeros((1,))
     one.add_square(np.array([a]))
     two.add_square(np.array([b]))
     one.add(two)

@@ -31,10 +31,11 @@ from gonio import tables
 from gonio.cli import main
 from gonio.comparison import compare
 from gonio.detectors import Apertures, HemisphereGrid
-from gonio.experiment import Experiment, models_for
+from gonio.experiment import Experiment
 from gonio.fitting import fit
 from gonio.measurement import Measurement, tabulated
 from gonio.models import Lambert
+from gonio.models.specimen import models_for
 from gonio.reporting import explore, markup, report, words
 from gonio.self_check import Certificate
 from gonio.sphere import direction

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from gonio.validation import CASES, LEVEL, Case, _bound, _chi2, _pooled, _rows, _t, markdown, run, summary, unfolded
-from microsurfaces.files import replacing
+from microsurfaces.atomic_write import atomic_write
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="session")
@@ -26,7 +26,7 @@ def quick(tmp_path_factory, worker_id):
     def rows(name):
         path = home / f"{name}.pickle"
         if not path.exists():
-            with replacing(path) as scratch:
+            with atomic_write(path) as scratch:
                 scratch.write_bytes(pickle.dumps(run(True, (name,))))
         return pickle.loads(path.read_bytes())
 

@@ -14,12 +14,12 @@ import pytest
 from test_campaign import BASE, KINDS, TOY, Gonio, assert_same, run  # noqa: F401 (a fixture)
 
 import gonio
-from gonio.campaign import engine, planning, results
+from gonio.campaign import planning, results, running
 from gonio.campaign.planning import Forecast, Sample, plan
 from gonio.campaign.store import Folder
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
-from gonio.experiment import InputError
+from gonio.toml_files import InputError
 
 UNITS = 12
 """Of the toy here: 2 slopes, 2 realisations, 3 incidences."""
@@ -57,7 +57,7 @@ def test_a_forecast_comes_true(toy: Campaign, forecast: Forecast, tmp_path: Path
     assert (forecast.experiments, forecast.units, forecast.reliefs) == (2, UNITS, 4)
     assert forecast.paths == forecast.paths_needed == UNITS * 40_000
     assert {sample.paths for sample in forecast.pilots} == {20_000}
-    engine.run(toy, tmp_path)
+    running.run(toy, tmp_path)
     size = sum(file.stat().st_size for file in tmp_path.glob("units/*.npz"))
     assert forecast.units_bytes == pytest.approx(size, rel=0.15)
     files = results.merge(tmp_path).files
@@ -121,7 +121,7 @@ def test_the_paths_of_a_target_are_told(kind: str, tmp_path: Path) -> None:
     """The pilots are those that the target itself goes by, for other azimuths and all patches together."""
     campaign = Campaign.of([KINDS[kind]])
     forecast = plan(campaign, pilot=10**6)
-    engine.run(campaign, tmp_path)
+    running.run(campaign, tmp_path)
     home = Folder(tmp_path)
     units, replicates = Plan.of(campaign).units[0], campaign.experiments[0].goniometer.replicates
     taken = sum(unit.paths // replicates * int(home.read(unit.name)[1]["replicates"]) for unit in units)
@@ -136,10 +136,10 @@ def test_targets_are_swept_and_the_same_for_shards_and_workers(tmp_path: Path) -
     """Half the error takes four times the replicates, of the same pilot (Stein 1945)."""
     text = f"{BASE}\n[sweep]\ngoniometer.target_error = [0.05, 0.025]"
     campaign = read(tmp_path, text)
-    engine.run(campaign, tmp_path / "one")
+    running.run(campaign, tmp_path / "one")
     for shard in (2, 3, 1):
-        engine.run(campaign, tmp_path / "shards", shard=(shard, 3))
-    engine.run(campaign, tmp_path / "workers", workers=2)
+        running.run(campaign, tmp_path / "shards", shard=(shard, 3))
+    running.run(campaign, tmp_path / "workers", workers=2)
     for name in ("shards", "workers"):
         assert_same(tmp_path / name, tmp_path / "one")
     home = Folder(tmp_path / "one")
@@ -151,7 +151,7 @@ def test_targets_are_swept_and_the_same_for_shards_and_workers(tmp_path: Path) -
     assert more.sum() == 2
     assert (((4 * coarse - 3 <= fine) | ~more) & (fine <= 4 * coarse)).all()
     given = read(tmp_path, f"{BASE}target_error = 0.05\n[sweep]\nseed = [0]")
-    assert engine.run(given, tmp_path / "one").computed == 0
+    assert running.run(given, tmp_path / "one").computed == 0
 
 
 # --- How long is left -------------------------------------------------------------------------------------------------
@@ -161,12 +161,12 @@ def test_time_left_is_at_the_pace_of_the_last_hour(toy: Campaign, tmp_path: Path
     """A unit every ten seconds until now, and three of yesterday: 40 s for the other 4."""
     home, names = Folder(tmp_path), [unit.name for unit in Plan.of(toy).shard(1, 1)]
     home.create(Plan.of(toy).manifest())
-    assert engine.seconds_left(home) is None
+    assert running.seconds_left(home) is None
     now = time.time()
     for age, name in zip([0, 10, 20, 30, 40, 90000, 90000, 90000], names, strict=False):
         (home.units / f"{name}.npz").touch()
         os.utime(home.units / f"{name}.npz", (now - age,) * 2)
-    assert engine.seconds_left(home) == pytest.approx(40, abs=5)
+    assert running.seconds_left(home) == pytest.approx(40, abs=5)
 
 
 def test_status_tells_the_time_left_and_a_line_for_each_shard(run: Gonio) -> None:  # noqa: F811

@@ -16,7 +16,7 @@ MODULE = sys.modules["gonio.plots.relief"]
 GAUSSIAN = ms.Gaussian(alpha=0.3, correlation_length=10.0, side=300.0, samples=256)
 SKEWED = ms.Gaussian(alpha_x=0.1, alpha_y=0.4, correlation_length=10.0, side=300.0, samples=256)
 STEEL = ms.HeightFieldFile(
-    path=str(Path(__file__).parents[1] / "configs" / "ground_steel.png"),
+    path=str(Path(__file__).parents[2] / "configs" / "ground_steel.png"),
     pixel_size=0.5,
     unit="um",
     scale=0.001,

@@ -20,13 +20,14 @@ import xarray as xr
 
 import gonio
 import microsurfaces as ms
-from gonio.campaign import dataset, engine, results
+from gonio.campaign import dataset, results, running
 from gonio.campaign.dataset import Layout, open_campaign
 from gonio.campaign.publication import About, publish
 from gonio.campaign.store import Folder
 from gonio.campaign.sweep import Campaign
 from gonio.cli import main
-from gonio.experiment import Experiment, InputError
+from gonio.experiment import Experiment
+from gonio.toml_files import InputError
 
 TINY = gonio.Goniometer(
     theta_i=(0.0, 30.0), paths=2000, replicates=4, wavelengths=(450.0, 650.0),
@@ -51,7 +52,7 @@ def crossed():
 def finished(tmp_path_factory):
     """A campaign of 2 roughnesses and 2 metals, merged; not to be changed."""
     path = tmp_path_factory.mktemp("finished")
-    engine.run(crossed(), path)
+    running.run(crossed(), path)
     results.merge(path)
     return path
 
@@ -181,7 +182,7 @@ def test_parameters_of_any_kind_are_coordinates():
 
 def test_what_one_array_cannot_hold_is_refused(tmp_path):
     others = [Experiment(rough(0.3), gonio.Mirror(), replace(TINY, theta_i=(theta,))) for theta in (0.0, 30.0)]
-    engine.run(Campaign.of(others), tmp_path / "c")
+    running.run(Campaign.of(others), tmp_path / "c")
     results.merge(tmp_path / "c")
     with pytest.raises(InputError, match=r"goniometer\.theta_i differs between experiments"):
         open_campaign(tmp_path / "c")
@@ -288,7 +289,7 @@ def test_height_maps_come_along_and_no_path_of_this_machine(tmp_path):
         )
         for path in maps
     ]
-    engine.run(Campaign.of(experiments), tmp_path / "c")
+    running.run(Campaign.of(experiments), tmp_path / "c")
     path = publish(tmp_path / "c", tmp_path / "out", ABOUT)
     assert [(path / "inputs" / name).read_bytes() for name in ("map.npy", "map-2.npy")] == [
         source.read_bytes() for source in maps

@@ -27,7 +27,7 @@ from gonio.models.cylinders import edge_angle, shared, strip_width, visible
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
 from gonio.sphere import angles, direction, rotate_z
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parents[1] / "data"
 GRID = HemisphereGrid(5.0, 15.0)
 
 

@@ -765,16 +765,16 @@ def test_ctrl_c_while_drawing_keeps_the_numbers(run: Gonio, monkeypatch: pytest.
 def test_a_full_disk_loses_nothing(
     run: Gonio, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    from gonio import measurement
+    from gonio import netcdf
 
-    refuge, save = tmp_path_factory.mktemp("refuge"), measurement.save
+    refuge, save = tmp_path_factory.mktemp("refuge"), netcdf.save
 
-    def full(result: measurement.Measurement, path: Path) -> Path:
+    def full(result: gonio.Measurement, path: Path) -> Path:
         if path.parent != refuge:
             raise OSError(errno.ENOSPC, "anything")
         return save(result, path)
 
-    monkeypatch.setattr("gonio.measurement.save", full)
+    monkeypatch.setattr("gonio.netcdf.save", full)
     monkeypatch.setattr("tempfile.mkdtemp", lambda **_: str(refuge))
     code, _, err = run("run", "toy.toml")
     assert code == 1

@@ -33,7 +33,7 @@ from gonio.sphere import direction, half_vector, rotate_z
 from microsurfaces import Cylinders, Gaussian
 from microsurfaces.recipe import members
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parents[1] / "data"
 
 ELSEWHERE = {"SmithMultipleScattering"}
 """Models that are random, and tested by themselves."""

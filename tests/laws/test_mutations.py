@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import pytest
-import test_grid
+import test_height_field_walk
 from reliefs import RELIEFS
 from statistical import assert_covers, assert_equal_within_noise
 
-import gonio
+import gonio.transport
 import microsurfaces as ms
 from gonio import optics
 from gonio.detectors import Apertures, HemisphereGrid, cone_quadrature
@@ -273,32 +273,32 @@ def grooves_of_all_slopes_and_azimuths_are_cook_and_torrance(way):
 
 def no_node_is_lower_than_what_it_stands_for():
     for name in ("33 x 33", "5 x 7", "towers"):
-        test_grid.test_no_node_is_lower_than_what_it_stands_for(RELIEFS[name]())
+        test_height_field_walk.test_no_node_is_lower_than_what_it_stands_for(RELIEFS[name]())
 
 
 def what_is_certain_to_escape_hits_nothing():
     for name in ("5 x 7", "gaussian .3", "cliffs", "needles", "walls", "towers", "ramps", "pyramid"):
-        test_grid.test_what_is_certain_to_escape_hits_nothing(RELIEFS[name]())
+        test_height_field_walk.test_what_is_certain_to_escape_hits_nothing(RELIEFS[name]())
 
 
 def every_shortcut_is_a_proof():
     for name in ("gaussian .5", "needles on the seam", "33 x 33", "towers"):
-        for material, setting in test_grid.INSTRUMENTS[1:3]:
-            test_grid.test_every_shortcut_is_a_proof(RELIEFS[name](), material, setting)
+        for material, setting in test_height_field_walk.INSTRUMENTS[1:3]:
+            test_height_field_walk.test_every_shortcut_is_a_proof(RELIEFS[name](), material, setting)
 
 
 def first_hits_are_those_of_embree():
     for name in ("between nodes", "5 x 7", "oblong cells", "walls", "steep"):
-        test_grid.test_first_hits_are_those_of_embree(RELIEFS[name]())
+        test_height_field_walk.test_first_hits_are_those_of_embree(RELIEFS[name]())
 
 
 def embree_measures_the_same():
     for name in ("walls", "oblong cells", "33 x 33"):
-        test_grid.test_embree_measures_the_same(name, optics.Mirror())
+        test_height_field_walk.test_embree_measures_the_same(name, optics.Mirror())
 
 
 def directions_are_put_into_the_bins_that_their_angles_lie_in():
-    test_grid.test_directions_are_put_into_the_bins_that_their_angles_lie_in(5.0, 7.2, 37.0)
+    test_height_field_walk.test_directions_are_put_into_the_bins_that_their_angles_lie_in(5.0, 7.2, 37.0)
 
 
 LAWS = (
@@ -342,8 +342,9 @@ class Damage(NamedTuple):
 
     def inflict(self, monkeypatch):
         """Damage gonio until the monkeypatch is undone."""
-        module_name, *owners, name = self.place.split(".")
-        owner = functools.reduce(getattr, owners, importlib.import_module(f"gonio.{module_name}"))
+        module = max((name for name in MODULES if f"gonio.{self.place}".startswith(f"{name}.")), key=len)
+        *owners, name = f"gonio.{self.place}".removeprefix(f"{module}.").split(".")
+        owner = functools.reduce(getattr, owners, MODULES[module])
         original = inspect.getattr_static(owner, name)
         if isinstance(original, property):
             monkeypatch.setattr(owner, name, property(self._damaged(original.fget)))
@@ -370,12 +371,17 @@ class Damage(NamedTuple):
 compiled = numba.njit(nogil=True, error_model="numpy")
 """As gonio's kernels are, but never to be found in a cache; globals are looked up at the first call."""
 
-MODULES = [importlib.import_module(f"gonio.{found.name}") for found in pkgutil.iter_modules(gonio.__path__)]
+MODULES = {
+    name: importlib.import_module(name)
+    for package in (gonio, gonio.transport)
+    for name in (f"{package.__name__}.{found.name}" for found in pkgutil.iter_modules(package.__path__))
+}
+"""The modules of gonio, and those of its transport, by their names."""
 
 
 def compiled_with(kernel):
     """The kernels that call `kernel`, directly or through another, wherever they are."""
-    kernels = {k for module in MODULES for k in vars(module).values() if hasattr(k, "py_func")}
+    kernels = {k for module in MODULES.values() for k in vars(module).values() if hasattr(k, "py_func")}
     callers, found = set(), {kernel}
     while found:
         found = {
@@ -389,7 +395,7 @@ def compiled_with(kernel):
 
 def replace_everywhere(monkeypatch, replacements):
     """Put others in the place of functions, in every module that has imported them."""
-    for module in MODULES:
+    for module in MODULES.values():
         for name, value in list(vars(module).items()):
             if inspect.isroutine(value) or hasattr(value, "py_func"):
                 monkeypatch.setattr(module, name, replacements.get(value, value))
@@ -428,105 +434,105 @@ DAMAGES = (
     # What all paths have in common.
     Damage(
         "a weight times the local cosine",
-        "paths.attenuate",
+        "transport.light.attenuate",
         "i, weak = struck[n], 0",
         "i, weak = struck[n], 0\n        weights[i, 0] *= cosines[n]",
         a_lossless_surface_returns_all_light,
     ),
     Damage(
         "Fresnel in the middle of the table's intervals",
-        "paths._look_up",
+        "transport.light._look_up",
         "u = cosines[n] * intervals - place",
         "u = 0.5",
         a_flat_mirror_sends_fresnel_into_one_bin,
     ),
     Damage(
         "wi for wo: azimuth from the mirror's side",
-        "paths.bins_of",
+        "transport.scoring.bins_of",
         "phi_i / 360",
         "phi_i / 360 + 0.5",
         a_flat_mirror_sends_fresnel_into_one_bin,
     ),
     Damage(
         "wi for wo: light goes back where it came from",
-        "paths.mirrored",
+        "transport.light.mirrored",
         "return dx - twice * nx, dy - twice * ny, dz - twice * nz",
         "return -dx, -dy, -dz",
         a_flat_mirror_sends_fresnel_into_one_bin,
     ),
     Damage(
         "azimuth clockwise",
-        "paths.collect",
+        "transport.scoring.score",
         "c * x + s * y, c * y - s * x",
         "c * x - s * y, -c * y - s * x",
         a_flat_mirror_sends_fresnel_into_one_bin,
     ),
     Damage(
         "azimuth clockwise from the lamp",
-        "paths.collect",
+        "transport.scoring.score",
         "c * y - s * x",
         "s * x - c * y",
         directions_are_put_into_the_bins_that_their_angles_lie_in,
     ),
     Damage(
         "the ring where a step of the table begins",
-        "paths.collect",
+        "transport.scoring.score",
         "while sin2 >= edges[ring]:",
         "while False:",
         directions_are_put_into_the_bins_that_their_angles_lie_in,
     ),
     Damage(
         "the sector where a step of the table begins",
-        "paths.collect",
+        "transport.scoring.score",
         "while _passed(",
         "while False and _passed(",
         directions_are_put_into_the_bins_that_their_angles_lie_in,
     ),
     Damage(
         "light of two hits thrown away",
-        "paths.collect",
-        "if fates[i] != ESCAPED:",
-        "if fates[i] != ESCAPED or hits[i] == 2:",
+        "transport.scoring.score",
+        "if terminations[i] != ESCAPED:",
+        "if terminations[i] != ESCAPED or hits[i] == 2:",
         a_right_angled_groove_returns_light_after_two_hits,
     ),
     Damage(
         "light of two hits counted among one",
-        "paths.collect",
-        "min(hits[i], caught.shape[0]) - 1",
-        "max(0, min(hits[i], caught.shape[0]) - 2)",
+        "transport.scoring.score",
+        "min(hits[i], scored.shape[0]) - 1",
+        "max(0, min(hits[i], scored.shape[0]) - 2)",
         half_pipes_share_light_between_one_two_and_three_hits,
     ),
     Damage(
         "the surface's turn not taken back",
-        "paths.collect",
-        "bins.turn + surface_turn(paths[i], turns[members[i]], True)",
+        "transport.scoring.score",
+        "bins.turn + surface_turn(paths[i], turns[slots[i]], True)",
         "bins.turn",
         turning_a_flat_mirror_changes_nothing,
     ),
     Damage(
         "azimuths of a quarter turn",
-        "paths.surface_turn",
+        "transport.source.surface_turn",
         "average * (",
         "average * 0.25 * (",
         grooves_of_all_slopes_and_azimuths_are_cook_and_torrance,
     ),
     Damage(
         "a source cone without its cosine",
-        "paths.incident",
+        "transport.source.incident",
         "psi += math.pi",
         "psi += 0.0",
         a_source_cone_averages_fresnel_over_its_directions,
     ),
     Damage(
         "a source cone of uniform radius",
-        "paths.incident",
-        "math.sqrt(lamp.beam * uniform(r0))",
-        "math.sqrt(lamp.beam) * uniform(r0)",
+        "transport.source.incident",
+        "math.sqrt(source.source_sin2 * uniform(r0))",
+        "math.sqrt(source.source_sin2) * uniform(r0)",
         a_source_cone_averages_fresnel_over_its_directions,
     ),
     Damage(
         "diffuse light without its cosine",
-        "paths.cosine_direction",
+        "transport.light.cosine_direction",
         "math.sqrt(uniform(r0))",
         "uniform(r0)",
         a_flat_diffuser_is_rho_over_pi_everywhere,
@@ -534,77 +540,77 @@ DAMAGES = (
     # Embree's paths.
     Damage(
         "Embree: Fresnel at the macroscopic angle",
-        "transport._move",
+        "transport.embree._move",
         "min(1.0, -(dx * nx + dy * ny + dz * nz))",
-        "math.cos(lamp.theta)",
+        "math.cos(source.theta)",
         facets_reflect_with_fresnel_at_their_own_angle,
     ),
     Damage(
         "Embree: no periodic wrap, what rises through a side escapes",
-        "transport._pass_on",
+        "transport.embree._pass_on",
         "if dz > 0 and z + reach * dz >= tile.top:",
         "if dz > 0:",
         where_the_tile_is_cut_changes_nothing,
     ),
     Damage(
         "normals of length 1 / nz",
-        "scene.Scene._build",
+        "transport.scene.Scene._build",
         "self.mesh.normals().astype(np.float32)",
         "(self.mesh.normals() / self.mesh.normals()[:, 2:]).astype(np.float32)",
         facets_reflect_with_fresnel_at_their_own_angle,
     ),
     Damage(
         "exact normals ignored",
-        "scene._corner_normals",
+        "transport.scene._corner_normals",
         "mesh.vertex_normals[mesh.faces]",
         "np.repeat(mesh.normals()[:, None], 3, axis=1)",
         cylinders_hide_what_the_closed_form_hides,
     ),
     Damage(
         "light leaks through the edges of facets",
-        "scene.Scene.intersect",
+        "transport.scene.Scene.intersect",
         "return hits",
         "hits['primID'][np.minimum(hits['u'], hits['v']) < 1e-4] = -1\n    return hits",
         a_lossless_surface_returns_all_light,
     ),
     Damage(
         "a restart offset that leaps over concave edges",
-        "scene.Scene._build",
+        "transport.scene.Scene._build",
         "OFFSET * largest",
         "1000 * OFFSET * largest",
         steep_grooves_lose_no_light,
     ),
     Damage(
         "no restart offset",
-        "scene.Scene._build",
+        "transport.scene.Scene._build",
         "offset = OFFSET * largest",
         "offset = 0.0",
         a_lossless_surface_returns_all_light,
     ),
     Damage(
         "Embree: starts on half of the tile",
-        "transport._launch",
+        "transport.embree._launch",
         "* tile.half_x",
         "* tile.half_x / 2",
         half_pipes_share_light_between_one_two_and_three_hits,
     ),
     Damage(
         "Embree: replicates that are one and the same",
-        "transport._launch",
+        "transport.embree._launch",
         "philox(path, path >> 32, replicate // 4, 0,",
         "philox(path, path >> 32, 0, 0,",
         error_bars_of_mirrors_cover_the_truth,
     ),
     Damage(
         "Embree: replicates of one diffuse randomness",
-        "transport._move",
-        "first_replicate + wave.members[i]",
-        "wave.members[i] // 2",
+        "transport.embree._move",
+        "first_replicate + state.slots[i]",
+        "state.slots[i] // 2",
         error_bars_cover_the_truth,
     ),
     Damage(
         "Embree: what is absorbed is in no ledger",
-        "transport._settle",
+        "transport.embree._settle",
         "UNIT - carried",
         "0",
         a_flat_mirror_sends_fresnel_into_one_bin,
@@ -612,91 +618,91 @@ DAMAGES = (
     # The tables of a height field.
     Damage(
         "certified without a look at the facets near by",
-        "grid._nearby",
+        "transport.accelerator._nearby",
         "_highest(",
         "0 * _highest(",
         what_is_certain_to_escape_hits_nothing,
     ),
     Damage(
         "certified without a look at the heights of a ring",
-        "grid._ring",
+        "transport.accelerator._ring",
         "(top - ",
         "0 * (top - ",
         what_is_certain_to_escape_hits_nothing,
     ),
     Damage(
         "certified without a look at the larger rings",
-        "grid._ring",
+        "transport.accelerator._ring",
         "near, coarser[",
         "near, 0 * coarser[",
         what_is_certain_to_escape_hits_nothing,
     ),
     Damage(
         "heights seen from the middle of a ring",
-        "grid._ring",
+        "transport.accelerator._ring",
         "/ near",
         "/ (1.5 * near)",
         what_is_certain_to_escape_hits_nothing,
     ),
     Damage(
         "certified slopes rounded down",
-        "grid._encode",
+        "transport.accelerator._encode",
         "out[j, i, k] = code",
         "out[j, i, k] = max(code - 1, 0)",
         what_is_certain_to_escape_hits_nothing,
     ),
     Damage(
         "a facet's slope at the sides of a sector only",
-        "grid._steepest",
+        "transport.accelerator._steepest",
         "slope / math.cos(math.pi / SECTORS)",
         "slope",
         what_is_certain_to_escape_hits_nothing,
     ),
     Damage(
         "slopes of the lower triangles only",
-        "grid._steepest",
+        "transport.accelerator._steepest",
         "max(s0, s1)",
         "s0",
         what_is_certain_to_escape_hits_nothing,
     ),
     Damage(
         "certificates that end at the side of the tile",
-        "grid._highest",
+        "transport.accelerator._highest",
         "range(x0 // nx, x1 // nx + 1)",
         "range(0, 1)",
         what_is_certain_to_escape_hits_nothing,
     ),
     Damage(
         "sectors as narrow as their middle",
-        "grid._boxes",
+        "transport.accelerator._boxes",
         "np.arange(2)",
         "np.full(2, 0.5)",
         what_is_certain_to_escape_hits_nothing,
     ),
     Damage(
         "highest points rounded down",
-        "grid._cells",
+        "transport.accelerator._cells",
         "h + margin",
         "h - margin",
         no_node_is_lower_than_what_it_stands_for,
     ),
     Damage(
         "nodes without their last column",
-        "grid._merge",
+        "transport.accelerator._merge",
         "min(2 * i + 1, columns - 1)",
         "2 * i",
         no_node_is_lower_than_what_it_stands_for,
     ),
     Damage(
         "bundles as narrow as their middle",
-        "grid._dilated",
+        "transport.accelerator._dilated",
         "reach = 1 if",
         "reach = 0 if",
         every_shortcut_is_a_proof,
     ),
     Damage(
         "bundles as narrow as the last node",
-        "grid._dilated",
+        "transport.accelerator._dilated",
         "else 2",
         "else 1",
         no_node_is_lower_than_what_it_stands_for,
@@ -704,154 +710,154 @@ DAMAGES = (
     # The paths over a height field.
     Damage(
         "guesses accepted without a proof",
-        "grid_transport._guess",
+        "transport.height_field._guess",
         "& seen &",
         "&",
         every_shortcut_is_a_proof,
     ),
     Damage(
         "guesses that see the lamp behind them",
-        "grid_transport._guess",
+        "transport.height_field._guess",
         "horizon_sector(-u, -v)",
         "horizon_sector(u, v)",
         every_shortcut_is_a_proof,
     ),
     Damage(
         "guesses accepted after one step",
-        "grid_transport._guess",
+        "transport.height_field._guess",
         "& (facet == facets[n, 1])",
         "",
         every_shortcut_is_a_proof,
     ),
     Damage(
         "guesses beyond the side of the tile",
-        "grid_transport._improve",
+        "transport.height_field._improve",
         " if inside else -1",
         "",
         every_shortcut_is_a_proof,
     ),
     Damage(
         "escape certain at half the certified slope",
-        "grid_transport._search",
+        "transport.height_field._search",
         "horizon_slope2[code]",
         "0.25 * horizon_slope2[code]",
         every_shortcut_is_a_proof,
     ),
     Damage(
         "bundles free as far as the end of a node",
-        "grid_transport._free_way",
+        "transport.height_field._free_way",
         "min(end, (top - z) / dz)",
         "end",
         every_shortcut_is_a_proof,
     ),
     Damage(
         "nodes passed above where rays enter them",
-        "grid_transport._walk",
+        "transport.height_field._walk",
         "<= max_mipmap[np.uint64(offsets[level]",
         "+ (0.0 if rises else dz * (way - end)) <= max_mipmap[np.uint64(offsets[level]",
         every_shortcut_is_a_proof,
     ),
     Damage(
         "diagonals that all run alike",
-        "grid_transport._walk",
+        "transport.height_field._walk",
         "(i + j) & 1",
         "0",
         first_hits_are_those_of_embree,
     ),
     Damage(
         "the upper triangle's plane for the lower's",
-        "grid_transport._facet",
-        "p = h11 - h01 if side else h10 - h00",
+        "transport.height_field._facet",
+        "p = h11 - h01 if triangle else h10 - h00",
         "p = h11 - h01",
         first_hits_are_those_of_embree,
     ),
     Damage(
         "no look below the diagonal",
-        "grid_transport._meet",
+        "transport.height_field._meet",
         "& below_diagonal",
         "& False",
         first_hits_are_those_of_embree,
     ),
     Damage(
         "a facet met although the ray passes above its edge",
-        "grid_transport._meet",
+        "transport.height_field._meet",
         "(below_edge and ",
         "(True and ",
         first_hits_are_those_of_embree,
     ),
     Damage(
         "the other triangle spared for the own",
-        "grid_transport._walk",
-        "= columns[n], rows[n], sides[n]",
-        "= columns[n], rows[n], 1 - sides[n]",
+        "transport.height_field._walk",
+        "= columns[n], rows[n], triangles[n]",
+        "= columns[n], rows[n], 1 - triangles[n]",
         embree_measures_the_same,
     ),
     Damage(
         "no periodic wrap: what rises through a side escapes",
-        "grid_transport._walk",
+        "transport.height_field._walk",
         "crossings += 1",
-        "fate = ESCAPED if rises else fate",
+        "termination = ESCAPED if rises else termination",
         where_the_tile_is_cut_changes_nothing,
     ),
     Damage(
         "the next tile lies a little off",
-        "grid_transport._walk",
+        "transport.height_field._walk",
         "x - over_x * nx",
         "x - over_x * nx * 1.01",
         first_hits_are_those_of_embree,
     ),
     Damage(
         "what rises has escaped",
-        "grid_transport._walk",
+        "transport.height_field._walk",
         "if rises and z + dz * way > top:",
         "if rises:",
         embree_measures_the_same,
     ),
     Damage(
         "vertical light hits the other triangle",
-        "grid_transport._drop",
-        "side = _side_at(u, v, odd)",
-        "side = 1 - _side_at(u, v, odd)",
+        "transport.height_field._drop",
+        "triangle = _triangle_at(u, v, odd)",
+        "triangle = 1 - _triangle_at(u, v, odd)",
         embree_measures_the_same,
     ),
     Damage(
         "slopes of square cells",
-        "grid_transport._normals",
+        "transport.height_field._normals",
         "q * per_y",
         "q * per_x",
         embree_measures_the_same,
     ),
     Damage(
         "Fresnel at the angle from the vertical",
-        "grid_transport._mirror",
+        "transport.height_field._mirror",
         "-(dx * nx + dy * ny + dz * nz)",
         "abs(dz)",
         facets_reflect_with_fresnel_at_their_own_angle,
     ),
     Damage(
         "starts on half of the tile",
-        "grid_transport._launch",
+        "transport.height_field._launch",
         "along_x * nx",
         "along_x * nx / 2",
         where_the_tile_is_cut_changes_nothing,
     ),
     Damage(
         "replicates that are one and the same",
-        "grid_transport._launch",
+        "transport.height_field._launch",
         "philox(path, path >> 32, replicate // 4, 0,",
         "philox(path, path >> 32, 0, 0,",
         error_bars_of_mirrors_cover_the_truth,
     ),
     Damage(
         "replicates of one diffuse randomness",
-        "grid_transport._diffuse",
-        "first_replicate + members[n]",
-        "members[n] // 2",
+        "transport.height_field._diffuse",
+        "first_replicate + slots[n]",
+        "slots[n] // 2",
         error_bars_cover_the_truth,
     ),
     Damage(
         "what is absorbed is in no ledger",
-        "grid_transport._enter_in_ledger",
+        "transport.height_field._enter_in_ledger",
         "UNIT - carried",
         "0",
         a_flat_mirror_sends_fresnel_into_one_bin,

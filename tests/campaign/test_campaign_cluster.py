@@ -16,12 +16,12 @@ from pathlib import Path
 import pytest
 from test_campaign import BASE, KINDS, TOY, UNITS, assert_same
 
-from gonio.campaign import cluster, engine, results
+from gonio.campaign import cluster, results, running
 from gonio.campaign.store import Folder
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.cli import main
-from gonio.experiment import InputError
+from gonio.toml_files import InputError
 
 WATCHED = """
 import os
@@ -99,7 +99,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
 def finished(toy: Campaign, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """TOY computed in one process."""
     path = tmp_path_factory.mktemp("finished")
-    engine.run(toy, path)
+    running.run(toy, path)
     return path
 
 
@@ -128,7 +128,7 @@ def test_a_cluster_gives_what_one_process_does(
     """Each worker has one unit at a time, with as many threads as it has, and seldom changes its relief."""
     together(2, monkeypatch)
     pair.log.unlink(missing_ok=True)
-    state = engine.run(toy, tmp_path, scheduler=pair.address)
+    state = running.run(toy, tmp_path, scheduler=pair.address)
     assert (state.computed, state.deaths, state.failures, state.refused) == (UNITS, 0, [], [])
     assert state.workers == 2
     assert state.rays > state.paths_done == state.paths
@@ -145,8 +145,8 @@ def test_a_cluster_gives_what_one_process_does(
 
 def test_a_target_takes_the_same_paths_on_a_cluster(pair: Cluster, tmp_path: Path) -> None:
     campaign = Campaign.of([KINDS["a target"]])
-    engine.run(campaign, tmp_path / "one")
-    assert engine.run(campaign, tmp_path / "many", scheduler=pair.address).failures == []
+    running.run(campaign, tmp_path / "one")
+    assert running.run(campaign, tmp_path / "many", scheduler=pair.address).failures == []
     for name in ("one", "many"):
         results.merge(tmp_path / name)
     assert_same(tmp_path / "many", tmp_path / "one")
@@ -158,7 +158,7 @@ def test_workers_with_other_versions_are_left_out(
     ours = cluster._all_versions
     monkeypatch.setattr(cluster, "_all_versions", lambda versions: ours(versions) | {"numba": "0.1"})
     with pytest.raises(InputError, match=r"worker tcp://.* has other versions \(numba .* instead of 0\.1\)"):
-        engine.run(toy, tmp_path, scheduler=pair.address)
+        running.run(toy, tmp_path, scheduler=pair.address)
     assert Folder(tmp_path).finished() == set()
 
 
@@ -176,7 +176,7 @@ def test_ctrl_c_stops_the_units_under_way_and_keeps_what_is_finished(pair: Clust
     assert "Traceback" not in err
     assert not list((tmp_path / "c/claims").iterdir())
     small = Campaign.of([KINDS["V-grooves"]])
-    assert engine.run(small, tmp_path / "next", scheduler=pair.address).failures == []
+    assert running.run(small, tmp_path / "next", scheduler=pair.address).failures == []
     assert Folder(tmp_path / "c").finished() == set()
 
 
@@ -188,7 +188,7 @@ def test_a_unit_that_cannot_be_computed_stops_no_other(pair: Cluster, tmp_path: 
         f'{{kind = "HeightFieldFile", path = "{tmp_path}/bad.npy", periodic = "as is", pixel_size = 1.0, unit = "um"}}'
     )
     (tmp_path / "c.toml").write_text(f'{BASE}\n[sweep]\nsurface = [{{kind = "Flat"}}, {bad}]')
-    state = engine.run(Campaign.read(tmp_path / "c.toml"), tmp_path / "c", scheduler=pair.address)
+    state = running.run(Campaign.read(tmp_path / "c.toml"), tmp_path / "c", scheduler=pair.address)
     assert (state.computed, len(state.failures)) == (6, 6)
     assert "experiment 2, realisation 0: surface: " in state.failures[0]
 
@@ -199,10 +199,10 @@ def test_a_fault_of_ours_shows_its_trace(pair: Cluster, toy: Campaign, tmp_path:
     fault.touch()
     try:
         with pytest.raises(RuntimeError, match=r"(?s)a worker failed:.*Local: a fault of ours"):
-            engine.run(toy, tmp_path, scheduler=pair.address)
+            running.run(toy, tmp_path, scheduler=pair.address)
     finally:
         fault.unlink()
-    assert engine.run(toy, tmp_path, scheduler=pair.address).failures == []
+    assert running.run(toy, tmp_path, scheduler=pair.address).failures == []
 
 
 def test_a_worker_dies_another_one_comes_and_nothing_is_lost(
@@ -224,27 +224,27 @@ def test_a_worker_dies_another_one_comes_and_nothing_is_lost(
                 cluster_.worker()
 
         monkeypatch.setattr(cluster.Crew, "_give", treacherous)
-        state = engine.run(toy, tmp_path / "c", scheduler=cluster_.address)
+        state = running.run(toy, tmp_path / "c", scheduler=cluster_.address)
         assert (state.deaths, state.computed, state.failures, state.workers) == (1, UNITS, [], 1)
         assert_same(tmp_path / "c", finished)
 
-        with pytest.raises(engine.ClusterError, match="scheduler is gone"):
-            engine.run(toy, tmp_path / "d", scheduler=cluster_.address, report=lambda state: cluster_.scheduler.kill())
-    assert engine.run(toy, tmp_path / "d").failures == []
+        with pytest.raises(running.ClusterError, match="scheduler is gone"):
+            running.run(toy, tmp_path / "d", scheduler=cluster_.address, report=lambda state: cluster_.scheduler.kill())
+    assert running.run(toy, tmp_path / "d").failures == []
     assert_same(tmp_path / "d", finished)
 
 
 def test_a_unit_whose_workers_die_is_given_up(toy: Campaign, tmp_path: Path) -> None:
     plan = Plan.of(toy)
     Folder(tmp_path).create(plan.manifest())
-    queue = engine.Queue(plan.shard(1, 1)[:1], Folder(tmp_path))
+    queue = running.Queue(plan.shard(1, 1)[:1], Folder(tmp_path))
     crew = cluster.Crew(None, toy.experiments, queue, lambda state: None, Folder(tmp_path))  # type: ignore[arg-type]
-    for number in range(engine.DEATHS):
+    for number in range(running.DEATHS):
         assert queue.left
         crew._seats[number] = cluster._Seat("tcp://x", 1, None, queue.take())
         crew._lost(number)
     assert not queue.left
-    assert queue.state.deaths == engine.DEATHS
+    assert queue.state.deaths == running.DEATHS
     (sentence,) = queue.state.failures
     assert sentence.endswith("its worker died 3 times, as when memory is short.")
 
@@ -262,7 +262,7 @@ def test_a_worker_tells_why_it_may_not_compute(tmp_path: Path) -> None:
         cluster._greeting(ours, str(tmp_path), cluster._manifest(str(tmp_path)) or "", 0.0)
 
 
-SCRIPT = Path(__file__).parents[1] / "docs/slurm_array.sh"
+SCRIPT = Path(__file__).parents[2] / "docs/slurm_array.sh"
 
 
 def submit(folder: Path, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -313,7 +313,7 @@ def test_a_scheduler_that_does_not_answer_is_told(
 ) -> None:
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.3)
     with pytest.raises(InputError) as error:
-        engine.run(toy, tmp_path / "c", scheduler=address)
+        running.run(toy, tmp_path / "c", scheduler=address)
     assert words in str(error.value)
     assert not (tmp_path / "c").exists()
 
@@ -321,4 +321,4 @@ def test_a_scheduler_that_does_not_answer_is_told(
 def test_without_dask_that_is_told(toy: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r'needs Dask, pip install "gonio\[cluster\]"'):
-        engine.run(toy, tmp_path, scheduler="tcp://127.0.0.1:1")
+        running.run(toy, tmp_path, scheduler="tcp://127.0.0.1:1")

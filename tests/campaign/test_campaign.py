@@ -25,12 +25,13 @@ import pytest
 
 import gonio
 import microsurfaces as ms
-from gonio.campaign import engine, folder, results, units
+from gonio.campaign import results, running, store, units
 from gonio.campaign.store import DamagedError, Folder, pack, unpack
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.cli import main
-from gonio.experiment import Experiment, InputError
+from gonio.experiment import Experiment
+from gonio.toml_files import InputError
 
 BASE = """
 [experiment]
@@ -93,7 +94,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
 def finished(toy: Campaign, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of TOY, all computed in one process and merged; not to be changed."""
     path = tmp_path_factory.mktemp("finished")
-    state = engine.run(toy, path)
+    state = running.run(toy, path)
     assert (state.computed, state.kept, state.failures) == (UNITS, 0, [])
     assert results.merge(path).incomplete == 0
     return path
@@ -263,7 +264,7 @@ def test_a_mistake_is_one_sentence_with_its_key(tmp_path: Path, text: str, words
 
 
 def test_an_experiment_is_told_from_a_campaign() -> None:
-    path = Path(__file__).parents[1] / "configs/flat_mirror.toml"
+    path = Path(__file__).parents[2] / "configs/flat_mirror.toml"
     with pytest.raises(InputError, match=r'is an experiment: gonio run .* base = "flat_mirror\.toml"'):
         Campaign.read(path)
 
@@ -294,7 +295,7 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_merged_units_are_the_file_that_the_experiment_gives(kind: str, tmp_path: Path) -> None:
     experiment = KINDS[kind]
-    state = engine.run(Campaign.of([experiment]), tmp_path / "c")
+    state = running.run(Campaign.of([experiment]), tmp_path / "c")
     assert not state.failures
     (file,) = results.merge(tmp_path / "c").files
     direct = experiment.run()
@@ -315,20 +316,20 @@ def test_a_large_measurement_is_cut_into_blocks_of_replicates(
     assert len(plan.units[0]) == 2 * 4 * blocks
     assert sum(unit.paths for unit in plan.units[0]) == sum(unit.paths for unit in whole.units[0])
     for part in (1, 2, 3):
-        engine.run(Campaign.of([experiment]), tmp_path / "c", shard=(part, 3))
+        running.run(Campaign.of([experiment]), tmp_path / "c", shard=(part, 3))
     (file,) = results.merge(tmp_path / "c").files
     assert file.read_bytes() == gonio.save(experiment.run(), tmp_path / "direct.nc").read_bytes()
-    status = folder.status(Folder(tmp_path / "c"))
+    status = store.status(Folder(tmp_path / "c"))
     assert status.paths == status.paths_finished == sum(unit.paths for unit in whole.units[0])
 
 
 def test_the_number_of_threads_changes_no_byte(toy: Campaign, finished: Path, tmp_path: Path) -> None:
-    engine.run(toy, tmp_path, threads=3)
+    running.run(toy, tmp_path, threads=3)
     assert_same(tmp_path, finished)
 
 
 def test_seven_shards_give_what_one_process_does(toy: Campaign, finished: Path, tmp_path: Path) -> None:
-    states = [engine.run(toy, tmp_path, shard=(number, 7)) for number in (3, 1, 7, 2, 6, 5, 4)]
+    states = [running.run(toy, tmp_path, shard=(number, 7)) for number in (3, 1, 7, 2, 6, 5, 4)]
     assert sum(state.computed for state in states) == UNITS
     assert max(state.computed for state in states) <= 4
     assert_same(tmp_path, finished, merged=True)
@@ -432,7 +433,7 @@ def test_ten_kills_lose_nothing_and_change_nothing(start: Start, toy: Campaign, 
         assert finished_since() >= 2
     assert len(killed) == 10
     assert len(kept) < UNITS
-    state = engine.run(toy, path)
+    state = running.run(toy, path)
     assert (state.kept, state.computed, state.failures) == (len(kept), UNITS - len(kept), [])
     assert finished_since() == state.computed
     assert_same(path, finished, merged=True)
@@ -440,7 +441,7 @@ def test_ten_kills_lose_nothing_and_change_nothing(start: Start, toy: Campaign, 
 
 
 def test_two_workers_give_what_one_process_does(toy: Campaign, finished: Path, tmp_path: Path) -> None:
-    state = engine.run(toy, tmp_path, workers=2)
+    state = running.run(toy, tmp_path, workers=2)
     assert (state.deaths, state.failures, state.computed) == (0, [], UNITS)
     assert_same(tmp_path, finished)
 
@@ -467,7 +468,7 @@ def test_ctrl_c_keeps_what_is_finished_and_leaves_no_worker(start: Start, tmp_pa
     assert "Traceback" not in err
     assert len(workers) == 1
     assert_gone(workers)
-    assert folder.verify(Folder(path)) == (len(Folder(path).finished()), [])
+    assert store.verify(Folder(path)) == (len(Folder(path).finished()), [])
     assert not list((path / "claims").iterdir())
 
 
@@ -475,18 +476,18 @@ def test_a_unit_that_kills_its_workers_is_given_up_and_the_others_are_not(
     toy: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The third unit's worker is killed each time: the run ends, with a sentence for that unit only."""
-    monkeypatch.setattr(engine, "DEATHS", 2)
+    monkeypatch.setattr(running, "DEATHS", 2)
     fatal = Plan.of(toy).shard(1, 1)[2]
-    assign = engine._Crew._assign
+    assign = running._Crew._assign
 
-    def treacherous(self: engine._Crew, number: int) -> None:
+    def treacherous(self: running._Crew, number: int) -> None:
         assign(self, number)
         seat = self._seats[number]
         if seat.unit == fatal:
             seat.process.kill()
 
-    monkeypatch.setattr(engine._Crew, "_assign", treacherous)
-    state = engine.run(toy, tmp_path, workers=1)
+    monkeypatch.setattr(running._Crew, "_assign", treacherous)
+    state = running.run(toy, tmp_path, workers=1)
     assert state.deaths == 2
     assert state.computed == UNITS - 1
     (sentence,) = state.failures
@@ -574,14 +575,14 @@ def test_merge_finds_what_is_damaged(run: Gonio, copied: Path, finished: Path) -
 def test_a_damaged_pilot_is_measured_again(tmp_path: Path) -> None:
     experiment = KINDS["a target"]
     campaign = Campaign.of([experiment])
-    engine.run(campaign, tmp_path)
+    running.run(campaign, tmp_path)
     before = content(tmp_path)
     pilot, *_ = (unit.pilot for unit in Plan.of(campaign).units[0] if unit.pilot)
     follower = next(unit for unit in Plan.of(campaign).units[0] if unit.pilot == pilot)
     home = Folder(tmp_path)
     (home.units / f"{pilot}.npz").write_bytes(b"nothing")
     (home.units / f"{follower.name}.npz").unlink()
-    assert engine.run(campaign, tmp_path).computed == 1
+    assert running.run(campaign, tmp_path).computed == 1
     assert content(tmp_path) == before
 
 
@@ -619,7 +620,7 @@ def test_a_file_appears_whole_by_a_rename(tmp_path: Path, monkeypatch: pytest.Mo
         return replace_(self, target)
 
     monkeypatch.setattr(Path, "replace", watched)
-    folder.write_whole(tmp_path / "a", b"content")
+    store.write_whole(tmp_path / "a", b"content")
     assert seen == [(b"content", False)]
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
@@ -636,7 +637,7 @@ def test_what_another_run_claims_is_done_last_and_dead_runs_claim_nothing(toy: C
     (tmp_path / "claims" / ordered[1].name).write_text(json.dumps(claim))
     (tmp_path / "claims" / ordered[2].name).write_text("")
     assert list(home.claims()) == [ordered[0].name]
-    queue, taken = engine.Queue(ordered, home), list[str]()
+    queue, taken = running.Queue(ordered, home), list[str]()
     while unit := queue.take():
         taken.append(unit.name)
         queue.settle(unit, None)
@@ -659,7 +660,7 @@ def test_what_killed_runs_left_half_written_is_removed_after_an_hour(toy: Campai
 def test_workers_stay_with_their_relief_and_take_others_first(toy: Campaign, tmp_path: Path) -> None:
     plan = Plan.of(toy)
     Folder(tmp_path).create(plan.manifest())
-    queue = engine.Queue(plan.shard(1, 1), Folder(tmp_path))
+    queue = running.Queue(plan.shard(1, 1), Folder(tmp_path))
     first, second = queue.take(), queue.take(None, ())
     assert first
     assert second
@@ -676,7 +677,7 @@ def test_workers_stay_with_their_relief_and_take_others_first(toy: Campaign, tmp
 def test_no_specimen_is_begun_before_the_first_has_told_how_many_replicates_it_takes(tmp_path: Path) -> None:
     plan = Plan.of(Campaign.of([KINDS["a target"]]))
     Folder(tmp_path).create(plan.manifest())
-    queue, out = engine.Queue(plan.shard(1, 1), Folder(tmp_path)), list[units.Unit]()
+    queue, out = running.Queue(plan.shard(1, 1), Folder(tmp_path)), list[units.Unit]()
     while unit := queue.take():
         out.append(unit)
     assert [unit.realisation for unit in out] == [0] * 4
@@ -695,7 +696,7 @@ def test_each_relief_is_built_once(toy: Campaign, tmp_path: Path, monkeypatch: p
         return build(self, seed)
 
     monkeypatch.setattr(ms.Gaussian, "build", counted)
-    engine.run(toy, tmp_path)
+    running.run(toy, tmp_path)
     assert len(built) == len(set(built)) == 4
 
 
@@ -743,7 +744,7 @@ def test_a_file_stands_for_its_content_wherever_it_is(tmp_path: Path) -> None:
 
 def test_a_longer_campaign_keeps_the_units_of_the_shorter(copied: Path, toy: Campaign) -> None:
     longer = Campaign.of([replace(experiment, realisations=3) for experiment in toy.experiments])
-    state = engine.run(longer, copied)
+    state = running.run(longer, copied)
     assert (state.kept, state.computed, state.changed) == (UNITS, UNITS // 2, True)
     merged = results.merge(copied)
     assert [int(gonio.load(file).dataset["realisations"].max()) for file in merged.files] == [3] * 4
@@ -755,14 +756,14 @@ def test_another_version_is_refused(copied: Path, toy: Campaign) -> None:
     manifest["versions"]["numba"] = "0.1"
     (copied / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(InputError, match=r"was begun with other versions.*numba 0.1, now"):
-        engine.run(toy, copied)
+        running.run(toy, copied)
 
 
 def test_a_damaged_manifest_is_written_anew(copied: Path, toy: Campaign, finished: Path) -> None:
     (copied / "manifest.json").write_text('{"title')
     with pytest.raises(InputError, match="is damaged: run the campaign again"):
-        folder.status(Folder(copied))
-    assert engine.run(toy, copied).computed == 0
+        store.status(Folder(copied))
+    assert running.run(toy, copied).computed == 0
     assert_same(copied, finished)
 
 
@@ -867,7 +868,7 @@ def test_the_status_of_ten_thousand_units(tmp_path: Path) -> None:
 
 
 CONFIGS = [
-    path for path in sorted((Path(__file__).parents[1] / "configs").glob("*.toml")) if "[sweep]" in path.read_text()
+    path for path in sorted((Path(__file__).parents[2] / "configs").glob("*.toml")) if "[sweep]" in path.read_text()
 ]
 
 
@@ -881,6 +882,6 @@ def test_the_campaigns_in_configs_run(path: Path, tmp_path: Path) -> None:
     small = ["goniometer.paths=512", "surface.samples=32", "surface.side=100.0", "realisations=2"]
     campaign = Campaign.read(path, small)
     assert campaign.title
-    assert not engine.run(campaign, tmp_path).failures
-    status = folder.status(Folder(tmp_path))
+    assert not running.run(campaign, tmp_path).failures
+    status = store.status(Folder(tmp_path))
     assert status.experiments_finished == len(campaign.experiments) > 1

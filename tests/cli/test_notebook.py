@@ -15,7 +15,7 @@ from gonio.html_drawing import in_plane, plane_of_incidence
 from gonio.measurement import tabulated
 from gonio.models import Lambert
 from gonio.plots.interactive import interactive
-from microsurfaces.html_card import card, image
+from microsurfaces.html_card import html_card, image
 
 RELIEF = ms.Gaussian(alpha=0.3, side=100.0, samples=64).build(seed=1)
 
@@ -91,8 +91,8 @@ def test_titles_are_text_and_not_html():
     tree, _ = parsed(experiment(title=evil))
     assert evil in "".join(tree.itertext())
     assert not list(tree.iter("script"))
-    assert "&lt;b&gt;" in card("<b>", {"<b>": "<b>" * 200})
-    assert "<b>" not in card("<b>", {"<b>": "<b>" * 200})
+    assert "&lt;b&gt;" in html_card("<b>", {"<b>": "<b>" * 200})
+    assert "<b>" not in html_card("<b>", {"<b>": "<b>" * 200})
     assert 'alt="&quot;&lt;"' in image(np.zeros((2, 2), np.uint8), '"<')
 
 

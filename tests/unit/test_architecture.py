@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 FILES = sorted(path for package in ("gonio", "microsurfaces") for path in (ROOT / package).rglob("*.py"))
 
 LEVELS = [

@@ -25,7 +25,7 @@ from gonio.formats.scattered import Table, degrees
 from gonio.measurement import tabulated
 from gonio.sphere import angles, direction, half_vector, rotate_z
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parents[1] / "data"
 GRID = HemisphereGrid(theta_step=10.0, phi_step=15.0)
 THETA_I, WAVELENGTHS = (0.0, 30.25, 60.0), (450.0, 550.0, 632.8)
 ALL_AROUND = (0.0, 50.0, 130.0, 220.0, 300.0)

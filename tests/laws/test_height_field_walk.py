@@ -7,10 +7,11 @@ import pytest
 from reliefs import RELIEFS, clearance, gaussian, on_facets, without_shortcuts
 
 import microsurfaces as ms
-from gonio import grid_transport, optics, paths
+from gonio import optics
 from gonio.detectors import HemisphereGrid
 from gonio.goniometer import Goniometer
-from gonio.transport.accelerator import BLOCK, Grid, horizon_sector
+from gonio.transport import height_field, scoring
+from gonio.transport.accelerator import BLOCK, Accelerator, horizon_sector
 from gonio.transport.height_field import PathState
 from gonio.transport.scene import Scene
 from gonio.transport.scoring import Scores
@@ -44,7 +45,7 @@ def test_every_shortcut_is_a_proof(relief, material, setting):
     proven = []
     for worth in (-1.0, 2.0):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(grid_transport, "WORTH", worth)
+            patch.setattr(height_field, "WORTH", worth)
             proven.append(goniometer.measure(scene, seed=1, threads=1).sums)
     scene.accelerator = without_shortcuts(scene.accelerator)
     searched = goniometer.measure(scene, seed=1, threads=1).sums
@@ -56,19 +57,23 @@ def test_every_shortcut_is_a_proof(relief, material, setting):
 
 
 def test_no_node_is_lower_than_what_it_stands_for(relief):
-    """In float64: max_mipmap over all their cells, dilated_mipmap ones over all that a bundle about the node's middle can reach."""
-    grid = Grid.of(relief)
-    ny, nx = grid.shape
-    corners = [grid.heights[j : j + ny, i : i + nx] for j in (0, 1) for i in (0, 1)]
+    """In float64: plain ones over all their cells, dilated ones over all that a bundle about a node may reach."""
+    accelerator = Accelerator.of(relief)
+    ny, nx = accelerator.shape
+    corners = [accelerator.heights[j : j + ny, i : i + nx] for j in (0, 1) for i in (0, 1)]
     cells = np.maximum.reduce(corners)
-    for level in range(len(grid.widths)):
-        size, first = 1 << level, grid.offsets[level]
-        max_mipmap = grid.max_mipmap[first : grid.offsets[level + 1]].reshape(-1, grid.widths[level])
+    for level in range(len(accelerator.widths)):
+        size, first = 1 << level, accelerator.offsets[level]
+        max_mipmap = accelerator.max_mipmap[first : accelerator.offsets[level + 1]].reshape(
+            -1, accelerator.widths[level]
+        )
         wide = np.repeat(np.repeat(max_mipmap, size, axis=0), size, axis=1)[:ny, :nx]
         assert (wide > cells).all() or ((wide == cells).all() and not np.ptp(cells))
         if level == 0:
             continue
-        dilated_mipmap = grid.dilated_mipmap[first - grid.offsets[1] :][: max_mipmap.size].reshape(max_mipmap.shape)
+        dilated_mipmap = accelerator.dilated_mipmap[first - accelerator.offsets[1] :][: max_mipmap.size].reshape(
+            max_mipmap.shape
+        )
         # Half a bundle about any place of a node: whole cells of what lies that far from its sides.
         reach = np.arange(-(size // 2), size // 2 + 1)
         for j, i in np.ndindex(max_mipmap.shape):
@@ -81,26 +86,26 @@ def test_no_node_is_lower_than_what_it_stands_for(relief):
 # -------------------------------------------------------------------------------------------------------- certificates
 
 
-def certified(grid, i, j, dx, dy, dz):
+def certified(accelerator, i, j, dx, dy, dz):
     """Whether rays that leave cells (i, j) are certain to escape, as the transport asks; directions per cell."""
     sectors = np.array([horizon_sector(*xy) for xy in zip(dx, dy, strict=True)])
-    horizon_code = grid.horizon_code[j >> BLOCK, i >> BLOCK, sectors]
-    return dz**2 > grid.horizon_slope2[horizon_code] * (dx**2 + dy**2), grid.horizon_slope2[horizon_code]
+    horizon_code = accelerator.horizon_code[j >> BLOCK, i >> BLOCK, sectors]
+    return dz**2 > accelerator.horizon_slope2[horizon_code] * (dx**2 + dy**2), accelerator.horizon_slope2[horizon_code]
 
 
 def test_what_is_certain_to_escape_hits_nothing(relief):
     """Exactly, in any direction, and as close to the certified slope as it goes."""
-    grid, rng = Grid.of(relief), np.random.default_rng(1)
-    heights = grid.heights[:-1, :-1]
+    accelerator, rng = Accelerator.of(relief), np.random.default_rng(1)
+    heights = accelerator.heights[:-1, :-1]
     i, j, x, y, z = on_facets(heights, 4000, rng)
     phi = rng.uniform(0, 2 * math.pi, i.size)
     phi[::4] = np.round(phi[::4] * (8 / math.pi)) * (math.pi / 8) + 1e-9  # where sectors meet
     dx, dy = np.cos(phi), np.sin(phi)
-    _, limit = certified(grid, i, j, dx, dy, np.ones(i.size))
+    _, limit = certified(accelerator, i, j, dx, dy, np.ones(i.size))
     rises = np.sqrt(limit) * (1 + 1e-12)
     dz = np.where(np.isfinite(rises), rises, 1e3 * np.ptp(heights) + 1)
     dz[1::2] *= rng.uniform(1, 3, dz[1::2].size)
-    certain, _ = certified(grid, i, j, dx, dy, dz)
+    certain, _ = certified(accelerator, i, j, dx, dy, dz)
     assert (certain == np.isfinite(rises)).all()
     x, y, z, dx, dy, dz = (a[certain] for a in (x, y, z, dx, dy, dz))
     least = clearance(heights, x, y, z, dx, dy, dz)
@@ -109,11 +114,11 @@ def test_what_is_certain_to_escape_hits_nothing(relief):
 
 def test_guesses_are_worth_what_the_certificates_say(relief):
     """The share of the blocks that see a lamp."""
-    grid, rng = Grid.of(relief), np.random.default_rng(2)
-    rows, columns = (index.ravel() << BLOCK for index in np.indices(grid.horizon_code.shape[:2]))
+    accelerator, rng = Accelerator.of(relief), np.random.default_rng(2)
+    rows, columns = (index.ravel() << BLOCK for index in np.indices(accelerator.horizon_code.shape[:2]))
     for dx, dy, dz in rng.normal(size=(30, 3)) * [1, 1, 2]:
-        certain, _ = certified(grid, columns, rows, np.full(rows.size, dx), np.full(rows.size, dy), dz)
-        assert grid.certainty(dx, dy, dz) == pytest.approx(np.mean(certain & (dz > 0)))
+        certain, _ = certified(accelerator, columns, rows, np.full(rows.size, dx), np.full(rows.size, dy), dz)
+        assert accelerator.certainty(dx, dy, dz) == pytest.approx(np.mean(certain & (dz > 0)))
 
 
 def test_vertical_light_meets_a_needle_from_which_nothing_is_certain():
@@ -131,11 +136,11 @@ def test_certificates_are_not_idle():
     rng = np.random.default_rng(3)
     for alpha, share in ((0.1, 0.9), (0.3, 0.7), (0.5, 0.5)):
         relief = gaussian(alpha)
-        grid = Grid.of(relief)
+        accelerator = Accelerator.of(relief)
         i, j, *_ = on_facets(relief.heights, 20_000, rng)
         phi, sin2 = rng.uniform(0, 2 * math.pi, i.size), rng.uniform(0, 1, i.size)
         dx, dy = (np.sqrt(sin2) * f(phi) / step for f, step in zip((np.cos, np.sin), relief.spacing, strict=True))
-        certain, _ = certified(grid, i, j, dx, dy, np.sqrt(1 - sin2))
+        certain, _ = certified(accelerator, i, j, dx, dy, np.sqrt(1 - sin2))
         assert certain.mean() > share
 
 
@@ -166,19 +171,19 @@ def test_first_hits_are_those_of_embree(relief):
     """Facet for facet, but where float32 cannot tell on which side of an edge a ray passes."""
     count, rng = 20_000, np.random.default_rng(4)
     ny, nx = relief.heights.shape
-    grid, scene = Grid.of(relief), Scene(tiled(relief), optics.Mirror())
+    accelerator, scene = Accelerator.of(relief), Scene(tiled(relief), optics.Mirror())
     x, y, directions = falling_rays(relief, count, rng)
     middle, scale = np.array([nx / 2, ny / 2, 0.0]), np.array([*relief.spacing, 1.0])
-    start = (np.stack([x, y, np.full(count, grid.top)], axis=-1) - middle) * scale
+    start = (np.stack([x, y, np.full(count, accelerator.top)], axis=-1) - middle) * scale
     found = scene.intersect(start.astype(np.float32), directions.astype(np.float32), np.full(count, 1e9, np.float32))
     assert (found["primID"] >= 0).all()
     u, v = found["u"].astype(float), found["v"].astype(float)
     theirs = np.minimum(np.minimum(u, v), 1 - u - v)
     largest = 1.5 * max(*relief.period, np.ptp(relief.heights))
     for near in (True, False):
-        flight = in_flight(grid, x, y, directions)
-        assert grid_transport._walk(flight, count, 0, grid, near) == count, "a ray has fallen through the surface"
-        facets = 2 * (flight.j * nx + flight.i)[:count] + flight.side[:count]
+        flight = in_flight(accelerator, x, y, directions)
+        assert height_field._walk(flight, count, 0, accelerator, near) == count, "a ray has fallen through the surface"
+        facets = 2 * (flight.j * nx + flight.i)[:count] + flight.triangle[:count]
         same = facets == found["primID"] % (2 * nx * ny)
         u, v = flight.x - flight.i[:count], flight.y - flight.j[:count]
         diagonal = np.where((flight.i + flight.j)[:count] % 2 == 0, np.abs(u + v - 1), np.abs(u - v))
@@ -196,14 +201,14 @@ def test_first_hits_are_those_of_embree(relief):
         assert np.abs(miss[same & (cosines > 0.1)]).max() < 1e-5 * largest
 
 
-def in_flight(grid, x, y, directions):
+def in_flight(accelerator, x, y, directions):
     """Rays from the highest point's height, of which nothing is known."""
     count = x.size
     flight = PathState.of(count, 1)
-    flight.x[:], flight.y[:], flight.z[:] = x, y, grid.top
+    flight.x[:], flight.y[:], flight.z[:] = x, y, accelerator.top
     flight.dx[:], flight.dy[:], flight.dz[:] = directions.T
-    flight.i[:count], flight.j[:count], flight.side[:] = x, y, -1
-    flight.active[:count], flight.fates[:] = np.arange(count), IN_FLIGHT
+    flight.i[:count], flight.j[:count], flight.triangle[:] = x, y, -1
+    flight.active[:count], flight.terminations[:] = np.arange(count), IN_FLIGHT
     return flight
 
 
@@ -239,9 +244,9 @@ def test_directions_are_put_into_the_bins_that_their_angles_lie_in(theta_step, p
     catch = Scores.empty(1, 1, detector.bins + 1, 1)
     records = np.zeros((count + 1, 2), np.int64)
     lamp = Source(0.5, math.radians(lamp_azimuth), 0.0, (0.0, 0.0, 0.0), False, (1, 2))
-    paths.collect(
+    scoring.score(
         count, directions, np.full(count, ESCAPED, np.int8), np.ones((count, 1)), np.zeros(count, np.int64),
-        np.zeros(count, np.int32), np.ones(count, np.int32), paths.bins_of(detector, lamp_azimuth), lamp, np.zeros(1),
+        np.zeros(count, np.int32), np.ones(count, np.int32), scoring.bins_of(detector, lamp_azimuth), lamp, np.zeros(1),
         catch.bins, records,
     )  # fmt: skip
     ring = np.searchsorted(detector.theta_edges, np.degrees(theta), side="right") - 1

@@ -322,28 +322,28 @@ def test_paths_start_uniformly_and_one_in_every_cell():
 
 
 def test_height_fields_and_meshes_are_lit_at_the_same_places():
-    from gonio import grid_transport, transport
-    from gonio.transport.accelerator import Grid
+    from gonio.transport import embree, height_field
+    from gonio.transport.accelerator import Accelerator
     from gonio.transport.source import Source
 
     paths, members, turns, none = 4**4, 3, np.array([0.1, 0.5, 0.9]), (0.0, 0.0, 0.0)
     relief = ms.HeightField(np.random.default_rng(1).normal(size=(6, 8)), (0.25, 0.5))
-    grid, tile = Grid.of(relief), Scene(relief.mesh(), optics.Mirror()).tile
+    accelerator, tile = Accelerator.of(relief), Scene(relief.mesh(), optics.Mirror()).tile
     lamps = (
         Source(0.3, 1.0, 0.0, none, False, (1, 2)),
         Source(0.3, 1.0, 0.01, none, True, (1, 2)),
         Source(0.3, 1.0, 0.0, (0.1, 0.2, 0.3), False, (1, 2)),
     )
     for lamp in lamps:
-        wave, flight = transport._empty_wave(paths * members, 1), grid_transport.PathState.of(paths * members, 1)
-        beam = grid_transport.beam_of(lamp, grid, paths * members)
-        transport._launch(wave, 0, 0, paths * members, paths, 4, turns, lamp, tile)
-        grid_transport._launch(flight, 0, paths, paths, 4, turns, lamp, beam, grid)
+        wave, flight = embree._empty_wave(paths * members, 1), height_field.PathState.of(paths * members, 1)
+        beam = height_field.illumination_of(lamp, accelerator, paths * members)
+        embree._launch(wave, 0, 0, paths * members, paths, 4, turns, lamp, tile)
+        height_field._launch(flight, 0, paths, paths, 4, turns, lamp, beam, accelerator)
         places = np.stack([flight.x * 0.25 - 1, flight.y * 0.5 - 1.5], axis=-1)
         np.testing.assert_allclose(wave.origins[:, :2], places, atol=1e-6)
         directions = np.stack([flight.dx, flight.dy, flight.dz], axis=-1)
         np.testing.assert_allclose(wave.directions, directions, atol=1e-6)
-        np.testing.assert_array_equal(wave.members, flight.members)
+        np.testing.assert_array_equal(wave.slots, flight.slots)
         np.testing.assert_array_equal(wave.paths, flight.paths[: paths * members])
-        assert (flight.z == grid.top).all()
+        assert (flight.z == accelerator.top).all()
         assert len(np.unique(flight.x)) > 0.9 * paths * members

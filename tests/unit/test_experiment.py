@@ -11,7 +11,9 @@ from synthetic import foreign
 
 import gonio
 import microsurfaces as ms
-from gonio.experiment import Experiment, InputError, models_for
+from gonio.experiment import Experiment
+from gonio.models.specimen import models_for
+from gonio.toml_files import InputError
 
 TOY = """
 title = "A toy"

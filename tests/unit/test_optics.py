@@ -14,7 +14,7 @@ import tomli_w
 from pydantic import TypeAdapter, ValidationError
 
 from gonio import optics
-from gonio.experiment import Experiment, InputError
+from gonio.experiment import Experiment
 from gonio.optics import (
     CONDUCTORS,
     DIELECTRICS,
@@ -28,8 +28,9 @@ from gonio.optics import (
     fresnel_table,
     fresnel_transmittance,
 )
+from gonio.toml_files import InputError
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parents[1] / "data"
 COSINES = np.concatenate([[0.0, 1e-12, 1e-6, 1e-3], np.linspace(0.01, 1.0, 200)])
 INDICES = np.array([0.2, 0.7, 1 / 1.5, 1.0, 1.0000001, 1.33, 1.5, 2.4, 10.0])
 SPECULAR = [Mirror(), *(Conductor(name) for name in CONDUCTORS), *(Dielectric(name) for name in DIELECTRICS)]

@@ -24,7 +24,7 @@ import microsurfaces as ms
 from microsurfaces import HeightField, HeightFieldFile, MeshFile, save_surface
 from microsurfaces.files import profilometry
 
-DATA = Path(__file__).parent / "data" / "profilometry"
+DATA = Path(__file__).parents[1] / "data" / "profilometry"
 
 # Levels of grey; seen as an image, row 0 is the top. The surface has them the other way up.
 IMAGE = np.array([[10, 20, 30, 40], [11, 12, 13, 14], [900, 1, 65535, 7]])

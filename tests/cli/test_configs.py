@@ -11,7 +11,7 @@ from gonio.experiment import Experiment
 from microsurfaces import Gaussian
 
 CONFIGS = [
-    path for path in sorted((Path(__file__).parents[1] / "configs").glob("*.toml")) if "[sweep]" not in path.read_text()
+    path for path in sorted((Path(__file__).parents[2] / "configs").glob("*.toml")) if "[sweep]" not in path.read_text()
 ]
 NAMES = {
     "aluminium_klems",

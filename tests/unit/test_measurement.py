@@ -16,7 +16,8 @@ import microsurfaces as ms
 from gonio import optics
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.goniometer import Goniometer
-from gonio.measurement import load, save, tabulated
+from gonio.measurement import tabulated
+from gonio.netcdf import load, save
 from gonio.sphere import direction
 from gonio.transport.scene import Scene
 
