@@ -82,11 +82,13 @@ def figures(alpha: float) -> list[dict[str, float]]:
         # 128 replicates know an error to 6 %, four runs of them to 3 %.
         runs = [gonio.Goniometer(replicates=128, **settings).measure(scene, seed=seed) for seed in range(4)]
         bins = [run.dataset.sel(order="all").squeeze() for run in runs]
-        full = bins[0]["hits"].values > 20
+        full = bins[0]["count"].values > 20
         results.append({
             "seconds": min(timed(lambda t=timing: t.measure(scene)) for _ in range(5)),
             "albedo": float(np.mean([error(run) ** 2 for run in runs]) ** 0.5),
-            "bin": float(np.median(np.mean([b["standard_error_mc"].values[full] ** 2 for b in bins], axis=0) ** 0.5)),
+            "bin": float(
+                np.median(np.mean([b["brdf_standard_error_mc"].values[full] ** 2 for b in bins], axis=0) ** 0.5)
+            ),
         })  # fmt: skip
     return results
 
@@ -108,7 +110,7 @@ def data_set(target: float = 0.02) -> str:
     data = goniometer.measure(scene).dataset.sel(order="all")
     seconds = time.perf_counter() - started
     bright = data["brdf"] > 0.01 * data["brdf"].max(("theta_o", "dphi"))
-    errors = (data["standard_error_mc"] / data["brdf"]).where(bright)
+    errors = (data["brdf_standard_error_mc"] / data["brdf"]).where(bright)
     each = errors.median(("theta_o", "dphi", "phi_i")).max("wavelength").values
     return (
         f"One isotropic data set: alpha = 0.3, 1024² nodes, 19 incidences, 1° bins, 3 wavelengths, averaged over "

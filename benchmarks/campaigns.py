@@ -16,7 +16,7 @@ from bench import in_turn, table, timed
 import gonio
 import microsurfaces as ms
 from gonio.campaign import running
-from gonio.campaign.store import Folder
+from gonio.campaign.store import CampaignStore
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.experiment import Experiment
@@ -114,7 +114,7 @@ def _status() -> tuple[str, str, str]:
     grids = replace(SMALL, theta_i=(0.0,), phi_i=tuple(7.2 * k for k in range(50)))
     campaign = Campaign.of([Experiment(PLAIN, gonio.Mirror(), grids, seed=seed, realisations=10) for seed in range(20)])
     with _folder() as folder:
-        plan, home = Plan.of(campaign), Folder(folder)
+        plan, home = Plan.of(campaign), CampaignStore(folder)
         home.create(plan.manifest())
         for unit in plan.shard(1, 1)[: 7 * MANY // 10]:
             (home.units / f"{unit.name}.npz").touch()

@@ -132,7 +132,7 @@ def apart(ours: gonio.Measurement, theirs) -> str:  # type: ignore[no-untyped-de
         return np.stack([np.bincount(owners, column, wide.bins) for column in bins.T], axis=-1)
 
     light = pooled(data["brdf"].values.reshape(-1, len(WAVELENGTHS)) * solid_angles)
-    hits = pooled(data["hits"].values.reshape(-1, 1))
+    hits = pooled(data["count"].values.reshape(-1, 1))
     their_light = pooled(theirs.brdf.sum(axis=0) * solid_angles)
     their_hits = pooled(theirs.hits.sum(axis=0).reshape(-1, 1))
     full = ((hits > FULL) & (their_hits > FULL)).ravel()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gonio import formats, models, plots
     from gonio.campaign.dataset import open_campaign
-    from gonio.comparison import Verdict, compare
+    from gonio.comparison import Comparison, compare
     from gonio.detectors import Apertures, HemisphereGrid, Klems
     from gonio.experiment import Experiment
     from gonio.fitting import fit
@@ -48,7 +48,7 @@ _HOME = {
     "Microfacet": "gonio.models",
     "Mirror": "gonio.optics",
     "Scene": "gonio.transport.scene",
-    "Verdict": "gonio.comparison",
+    "Comparison": "gonio.comparison",
     "certify": "gonio.self_check",
     "compare": "gonio.comparison",
     "export": "gonio.formats",
@@ -62,6 +62,7 @@ _MODULES = ("formats", "models", "plots")
 
 __all__ = [
     "Apertures",
+    "Comparison",
     "Conductor",
     "CookTorrance",
     "Dielectric",
@@ -76,7 +77,6 @@ __all__ = [
     "Microfacet",
     "Mirror",
     "Scene",
-    "Verdict",
     "__version__",
     "certify",
     "compare",

@@ -219,7 +219,10 @@ def _patch_radius(measurement: Measurement, detector: HemisphereGrid) -> float:
     noise is known."""
     data = measurement.dataset.sel(order="all").mean("wavelength")
     area = detector.projected_solid_angles().reshape(detector.shape)
-    light, noise = np.nan_to_num(data["brdf"].values) * area, np.nan_to_num(data["standard_error_mc"].values) * area
+    light, noise = (
+        np.nan_to_num(data["brdf"].values) * area,
+        np.nan_to_num(data["brdf_standard_error_mc"].values) * area,
+    )
     solid = area / np.cos(np.radians(detector.theta))[:, None]
     per_steradian = (np.divide(noise**2, light, out=np.zeros_like(light), where=light > 0) * solid).sum() / light.sum()
     # A bump of this kind has the noise of a disc of 5/9 of its area.
@@ -336,11 +339,11 @@ def _shares(lobes: Lobes, theta: float, phi: float, bins: _Bins, nodes: int) -> 
 def _albedo(measurement: Measurement, theta: float, phi: float) -> Floats:
     """Of light from these angles, (3,), between those that were measured, never less than 0."""
     table = measurement.dataset["albedo"].sel(order="all").values
-    rows, part = bracket(measurement.dataset["theta_i"].values, np.array(theta), "theta_i", hold=True)
+    rows, part = bracket(measurement.dataset["theta_i"].values, np.array(theta), "theta_i", extrapolate="nearest")
     along = (1 - part) * table[rows[0]] + part * table[rows[1]]
     if measurement.isotropic:
         return np.asarray(along[0].clip(0))
-    columns, part = bracket_around(measurement.dataset["phi_i"].values, np.array(phi), hold=True)
+    columns, part = bracket_around(measurement.dataset["phi_i"].values, np.array(phi), extrapolate="nearest")
     return np.asarray(((1 - part) * along[columns[0]] + part * along[columns[1]]).clip(0))
 
 

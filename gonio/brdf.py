@@ -78,10 +78,10 @@ class Lobes:
         data = measurement.dataset.isel(theta_i=rows)
         known = Measurement(None, measurement.attributes, data)
         if not known.isotropic and data.sizes["phi_i"] == 1 and _looks_isotropic(measurement):
-            known = known.declared_isotropic()
+            known = known.as_isotropic()
         one_sided = not known.isotropic and data.sizes["phi_i"] == 1
         return cls(
-            evaluate=_refused if one_sided else lambda wi, wo: known.eval(wi, wo, hold=True),
+            evaluate=_refused if one_sided else lambda wi, wo: known.eval(wi, wo, extrapolate="nearest"),
             wavelengths=known.wavelengths,
             theta_i=data["theta_i"].values,
             phi_i=data["phi_i"].values,
@@ -158,7 +158,7 @@ class Lobes:
         of the measurement behind this they are its values.
         """
         if self.measurement is not None:
-            return self.measurement.average(wi, detector, hold=True)
+            return self.measurement.average(wi, detector, extrapolate="nearest")
         wo, weights = detector.quadrature(wi, nodes)
         values = self.evaluate(np.broadcast_to(wi, wo.shape).reshape(-1, 3), wo.reshape(-1, 3))
         values = values.reshape(*weights.shape, -1)
@@ -188,7 +188,7 @@ def _mixed(measurement: Measurement, weights: Floats, nominal: Floats, attribute
         data["theta_i"].values,
         data["phi_i"].values,
         nominal,
-        standard_error=data["standard_error"].values @ np.abs(weights).T,
+        standard_error=data["brdf_standard_error"].values @ np.abs(weights).T,
         attributes=attributes,
     )
 
@@ -210,5 +210,5 @@ def _refused(wi: Vectors, wo: Vectors) -> Floats:
     raise ValueError(
         "this measurement knows one azimuth of the light (phi_i), and its specimen is not known to look the same from "
         'others: measure with azimuth = "average" or with phi_i all around, or export it with --isotropic '
-        "(Measurement.declared_isotropic) if it does"
+        "(Measurement.as_isotropic) if it does"
     )

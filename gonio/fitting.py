@@ -323,7 +323,7 @@ def _lobes(
     for theta, phi in angles:
         here = picked.sel(theta_i=theta, phi_i=phi)
         solid = measurement.detector.projected_solid_angles()[:, None]
-        raw.append([here[name].values.reshape(-1, chosen.size) * solid for name in ("brdf", "standard_error")])
+        raw.append([here[name].values.reshape(-1, chosen.size) * solid for name in ("brdf", "brdf_standard_error")])
     detector, owner = _joined(measurement.detector, [energy for energy, _ in raw])
     known = [bool(np.isfinite(_summed(energy, owner, detector.bins)).all(axis=1).any()) for energy, _ in raw]
     if not any(known):

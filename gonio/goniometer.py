@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, model_validator
 
 from gonio.detectors import Detector, HemisphereGrid, Klems
-from gonio.measurement import FATES, Measurement, orders
+from gonio.measurement import ENERGY_BUDGET, Measurement, orders
 from gonio.tally import MAX_PATHS, UNIT, Tally, UInt128
 from gonio.transport import trace
 from gonio.transport.light import surface_optics
@@ -221,7 +221,7 @@ def median_error(tally: Tally) -> float:
     """The relative error that half of the light's bins stay below, at the worst wavelength, as the pilot tells it."""
     count = min(tally.pilot, tally.replicates)
     light = tally.piloted[0, :-1].astype(np.float64)
-    scatter = tally.squares.scatter(tally.piloted, count).floats()[0, :-1]
+    scatter = tally.squares.squared_deviations(tally.piloted, count).floats()[0, :-1]
     error = np.sqrt(scatter / (count - 1)) / np.maximum(light, 1.0)
     return max(_weighted_median(error[:, w], light[:, w]) for w in range(light.shape[1]))
 
@@ -236,13 +236,13 @@ def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) 
 
 def enter(tally: Tally, sums: Any, at: tuple[int, int]) -> None:
     """Write the tally of one incidence into `sums` (see `empty_sums`), at its row and column."""
-    scatter, squares = tally.scatter(), UInt128.zeros(tally.total.shape)
+    scatter, squares = tally.squared_deviations(), UInt128.zeros(tally.total.shape)
     squares.add_square(tally.total)
     for name, value in (
         ("weight", tally.total),
-        ("hits", tally.hits),
-        ("mc_scatter_high", scatter.high),
-        ("mc_scatter_low", scatter.low),
+        ("count", tally.count),
+        ("squared_deviations_high", scatter.high),
+        ("squared_deviations_low", scatter.low),
         ("realisation_squares_high", squares.high),
         ("realisation_squares_low", squares.low),
         ("paths", tally.paths * tally.replicates),
@@ -252,7 +252,7 @@ def enter(tally: Tally, sums: Any, at: tuple[int, int]) -> None:
         sums[name].values[at] = value
     launched = np.full(tally.total.shape[2], tally.paths * tally.replicates * UNIT)
     spent = tally.ledger[[ABSORBED, TRUNCATED, LOST]]
-    sums["ledger"].values[at] = [launched, tally.total[0, -1], *spent]
+    sums["energy_budget"].values[at] = [launched, tally.total[0, -1], *spent]
 
 
 @dataclass
@@ -358,12 +358,12 @@ def empty_sums(goniometer: Goniometer) -> Any:
     full = ("theta_i", "phi_i", "order", "bin", "wavelength")
     shapes: dict[str, tuple[tuple[str, ...], tuple[int, ...], type]] = {
         "weight": (full, (labels, bins, width), np.int64),
-        "hits": (full[:-1], (labels, bins), np.int64),
-        "ledger": (("theta_i", "phi_i", "fate", "wavelength"), (len(FATES), width), np.int64),
+        "count": (full[:-1], (labels, bins), np.int64),
+        "energy_budget": (("theta_i", "phi_i", "termination", "wavelength"), (len(ENERGY_BUDGET), width), np.int64),
         **dict.fromkeys(("paths", "replicates", "realisations"), (full[:2], (), np.int64)),
         **{
             f"{name}_{half}": (full, (labels, bins, width), np.uint64)
-            for name in ("mc_scatter", "realisation_squares")
+            for name in ("squared_deviations", "realisation_squares")
             for half in ("high", "low")
         },
     }
@@ -373,7 +373,7 @@ def empty_sums(goniometer: Goniometer) -> Any:
             "theta_i": theta_i,
             "phi_i": phi_i,
             "order": list(orders(goniometer.orders)),
-            "fate": list(FATES),
+            "termination": list(ENERGY_BUDGET),
             "wavelength": np.array(goniometer.wavelengths, np.float64),
         },
     )

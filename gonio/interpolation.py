@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from gonio.sphere import Vectors, angles, direction, half_vector, reflect
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
+
+Extrapolation = Literal["nearest"]
+"""What stands for light from outside the measured incidences."""
 
 GRAZING = 0.05
 """Added to cosines in f (cosθ_i cosθ_o)^p: at the horizon f stays finite."""
@@ -51,23 +55,24 @@ class Interpolation:
     isotropic: bool
     """Whether only the relative azimuth matters."""
 
-    def __call__(self, wi: Vectors, wo: Vectors, hold: bool = False) -> Floats:
+    def __call__(self, wi: Vectors, wo: Vectors, extrapolate: Extrapolation | None = None) -> Floats:
         """The BRDF (..., W) in 1/sr for light from `wi` (..., 3) seen from `wo` (..., 3).
 
         Raises ValueError outside the measured range of incidences, and for another azimuth of the light unless the data
-        are isotropic; with `hold`, the nearest measured incidence stands for those outside.
+        are isotropic; with `extrapolate="nearest"` the nearest measured incidence stands
+        for those outside.
         """
         wi, wo = np.broadcast_arrays(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
-        value = self._moved(wi, wo, self.exponent, hold) * self._scale(wi)
+        value = self._moved(wi, wo, self.exponent, extrapolate) * self._scale(wi)
         return np.where((wo[..., 2] > 0)[..., None], value, 0.0)
 
-    def _moved(self, wi: Vectors, wo: Vectors, exponent: float, hold: bool) -> Floats:
+    def _moved(self, wi: Vectors, wo: Vectors, exponent: float, extrapolate: Extrapolation | None) -> Floats:
         """Values of the neighbouring incidences, moved here and weighted."""
         theta, phi = angles(wi)
         wh = half_vector(wi, wo)
         here = _cosines(wi, wo)
         value = np.zeros((*theta.shape, self.table.shape[-1]))
-        for row, column, share in self._neighbours(theta, phi, hold):
+        for row, column, share in self._neighbours(theta, phi, extrapolate):
             # The facets of an isotropic specimen are the same for all azimuths; those of others stay where they are.
             measured_wi = direction(self.theta_i[row], phi if self.isotropic else self.phi_i[column])
             moved = reflect(measured_wi, wh)
@@ -76,12 +81,14 @@ class Interpolation:
             value += weight[..., None] * self._read(row, column, measured_wi, moved)
         return value
 
-    def _neighbours(self, theta: Floats, phi: Floats, hold: bool) -> Iterator[tuple[Indices, Indices, Floats]]:
+    def _neighbours(
+        self, theta: Floats, phi: Floats, extrapolate: Extrapolation | None
+    ) -> Iterator[tuple[Indices, Indices, Floats]]:
         """Row, column and share of each measured incidence around (theta, phi)."""
-        rows, share_t = bracket(self.theta_i, theta, "theta_i", hold)
+        rows, share_t = bracket(self.theta_i, theta, "theta_i", extrapolate)
         columns, share_p = (np.zeros(theta.shape, np.intp),) * 2, np.zeros(theta.shape)
         if not self.isotropic:
-            columns, share_p = bracket_around(self.phi_i, phi, hold)
+            columns, share_p = bracket_around(self.phi_i, phi, extrapolate)
         for row, weight_t in zip(rows, (1 - share_t, share_t), strict=True):
             for column, weight_p in zip(columns, (1 - share_p, share_p), strict=True):
                 yield row, column, weight_t * weight_p
@@ -131,7 +138,7 @@ class Interpolation:
         """By how much to scale the lobes of light from `wi` (..., 3), (..., W)."""
         nodes_t, nodes_p, factors = self._scales
         theta, phi = angles(wi)
-        (low, high), share = bracket(nodes_t, theta, "theta_i", hold=True)
+        (low, high), share = bracket(nodes_t, theta, "theta_i", extrapolate="nearest")
         column = np.zeros(theta.shape, np.intp)
         if len(nodes_p) > 1:
             column = np.abs((phi[..., None] - nodes_p + 180) % 360 - 180).argmin(axis=-1)
@@ -140,14 +147,14 @@ class Interpolation:
     def _albedo(self, wi: Vectors, exponent: float) -> Floats:
         """Of the moved lobes for light from `wi` (3,), (W,); what is not known is dark."""
         wo, weights = COARSE.quadrature(wi, nodes=1)
-        values = self._moved(np.broadcast_to(wi, wo.shape), wo, exponent, hold=True)[:, 0]
+        values = self._moved(np.broadcast_to(wi, wo.shape), wo, exponent, extrapolate="nearest")[:, 0]
         return np.asarray(COARSE.projected_solid_angles() @ np.nan_to_num(values) * weights[0, 0])
 
     def _albedo_between(self, wi: Vectors) -> Floats:
         """Between those of the measured incidences around `wi` (3,), (W,)."""
         theta, phi = angles(wi)
         return np.asarray(
-            sum(share * self._albedos[row, column] for row, column, share in self._neighbours(theta, phi, True))
+            sum(share * self._albedos[row, column] for row, column, share in self._neighbours(theta, phi, "nearest"))
         )
 
     @functools.cached_property
@@ -164,11 +171,13 @@ def _cosines(wi: Vectors, wo: Vectors) -> Floats:
     return np.asarray((wi[..., 2] + GRAZING) * (np.maximum(wo[..., 2], 0.0) + GRAZING))
 
 
-def bracket(nodes: Floats, values: Floats, name: str, hold: bool) -> tuple[tuple[Indices, Indices], Floats]:
+def bracket(
+    nodes: Floats, values: Floats, name: str, extrapolate: Extrapolation | None
+) -> tuple[tuple[Indices, Indices], Floats]:
     """Indices of the nodes below and above `values`, and how far between them, 0 to 1."""
     slack = 1e-6
     outside = (values < nodes[0] - slack) | (values > nodes[-1] + slack)
-    if outside.any() and not hold:
+    if outside.any() and extrapolate is None:
         raise ValueError(
             f"{name} = {values[outside].flat[0]:g} lies outside the measured range {nodes[0]:g} to {nodes[-1]:g} "
             f"degrees: measure it, or declare the data isotropic if only the azimuth differs"
@@ -179,14 +188,16 @@ def bracket(nodes: Floats, values: Floats, name: str, hold: bool) -> tuple[tuple
     return (lower, upper), np.clip((values - nodes[lower]) / width, 0.0, 1.0)
 
 
-def bracket_around(nodes: Floats, values: Floats, hold: bool) -> tuple[tuple[Indices, Indices], Floats]:
+def bracket_around(
+    nodes: Floats, values: Floats, extrapolate: Extrapolation | None
+) -> tuple[tuple[Indices, Indices], Floats]:
     """As `bracket` for azimuths in degrees; nodes that go all around have no gap between the last and the first."""
     gaps = np.diff(nodes, append=nodes[0] + 360)
     if len(nodes) < 3 or gaps[-1] > 1.5 * gaps[:-1].max():
         # The azimuth that lies within or nearest to the known part.
         centre = (nodes[0] + nodes[-1]) / 2
-        return bracket(nodes, (values - centre + 180) % 360 - 180 + centre, "phi_i", hold)
+        return bracket(nodes, (values - centre + 180) % 360 - 180 + centre, "phi_i", extrapolate)
     (lower, upper), share = bracket(
-        np.append(nodes, nodes[0] + 360), (values - nodes[0]) % 360 + nodes[0], "phi_i", hold
+        np.append(nodes, nodes[0] + 360), (values - nodes[0]) % 360 + nodes[0], "phi_i", extrapolate
     )
     return (lower % len(nodes), upper % len(nodes)), share

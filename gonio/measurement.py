@@ -18,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from gonio.detectors import DETECTOR, Detector, HemisphereGrid
 from gonio.html_drawing import in_plane, plane_of_incidence, thinned
-from gonio.interpolation import Interpolation
+from gonio.interpolation import Extrapolation, Interpolation
 from gonio.optics import Material
 from gonio.sphere import angles
 from gonio.tally import MAX_PATHS, UNIT, UInt128
@@ -36,11 +36,11 @@ def orders(count: int) -> tuple[str, ...]:
     return ("all", *map(str, range(1, count)), f"{count}+" if count > 1 else "1+")
 
 
-FATES = ("launched", "escaped", "absorbed", "truncated", "lost")
+ENERGY_BUDGET = ("launched", "escaped", "absorbed", "truncated", "lost")
 """Where the light went: launched = escaped + absorbed + truncated + lost."""
 
-_WIDE = ("mc_scatter", "realisation_squares")
-_ADDITIVE = ("weight", "hits", "ledger", "paths", "realisations")
+_WIDE = ("squared_deviations", "realisation_squares")
+_ADDITIVE = ("weight", "count", "energy_budget", "paths", "realisations")
 _MATERIAL: TypeAdapter[Material] = TypeAdapter(Material)
 _SURFACE: TypeAdapter[Surface] = TypeAdapter(Surface)
 
@@ -50,11 +50,12 @@ class Measurement:
     """The result of a measurement.
 
     `dataset` is an `xarray.Dataset` over order, theta_i, phi_i, theta_o, dphi (or `detector` for apertures) and
-    wavelength: `brdf` in 1/sr, `standard_error` (all that is uncertain), `standard_error_mc` (its Monte Carlo part),
-    `hits`, `albedo`, the energy ledger and their bounds. An incidence that was not measured has `paths` 0 and NaN.
+    wavelength: `brdf` in 1/sr, `brdf_standard_error` (all that is uncertain), `brdf_standard_error_mc` (its Monte Carlo
+    part), `count`, `albedo`, the energy budget in shares of 1, and their bounds. An incidence that was not measured has
+    `paths` 0 and NaN.
 
-    A measurement that comes from elsewhere (see `tabulated`) has the order "all" only, no hits, paths and ledger, and
-    NaN for errors that are not known.
+    A measurement that comes from elsewhere (see `tabulated`) has the order "all" only, no count, paths and energy
+    budget, and NaN for errors that are not known.
     """
 
     sums: xr.Dataset | None
@@ -63,14 +64,14 @@ class Measurement:
     attributes: dict[str, Any]
     """Provenance: goniometer, detector, material, surface_statistics, facets (JSON), seed, versions, isotropic,
     interrupted."""
-    foreign: xr.Dataset | None = None
+    external: xr.Dataset | None = None
     """The dataset of a measurement that comes from elsewhere."""
 
     @functools.cached_property
     def dataset(self) -> xr.Dataset:
         """Everything measured, with labels, units and provenance."""
-        if self.foreign is not None:
-            return self.foreign.assign_attrs(self.attributes)
+        if self.external is not None:
+            return self.external.assign_attrs(self.attributes)
         return _labelled(self.counted, self.detector, self.attributes)
 
     @property
@@ -180,7 +181,7 @@ class Measurement:
             known = f" ± {error:.1g}" if np.isfinite(error) else ""
             rows["albedo"] = f"{value:.4g}{known} at theta_i = {lamps[0]:g}°, {self.channels[middle]}"
         if self.sums is None:
-            rows["origin"] = self.attributes.get("origin", "elsewhere")
+            rows["origin"] = self.attributes.get("origin", "external")
         else:
             rows["paths"] = f"{int(data['paths'].sum()):,} in all{', interrupted' if self.interrupted else ''}"
         return rows
@@ -199,21 +200,19 @@ class Measurement:
             lobes.append((angle, np.maximum(values, 0.0) / max(float(values.max()), 1e-300)))
         return plane_of_incidence(shown, lobes)
 
-    def declared_isotropic(self) -> Measurement:
+    def as_isotropic(self) -> Measurement:
         """The same measurement, declared to depend on the relative azimuth only."""
         return replace(self, attributes={**self.attributes, "isotropic": 1})
 
     def albedo(self) -> xr.Dataset:
-        """Directional-hemispherical reflectance: `albedo` and `standard_error` over theta_i, phi_i, wavelength."""
-        chosen = self.dataset[["albedo", "albedo_standard_error"]].sel(order="all", drop=True)
-        return chosen.rename(albedo_standard_error="standard_error")
+        """Directional-hemispherical reflectance: `albedo` and its standard error over theta_i, phi_i, wavelength."""
+        return self.dataset[["albedo", "albedo_standard_error"]].sel(order="all", drop=True)
 
-    def ledger(self) -> xr.Dataset:
+    def energy_budget(self) -> xr.Dataset:
         """Shares of the launched energy over theta_i, phi_i, wavelength: escaped, absorbed, truncated, lost."""
         if self.sums is None:
-            raise ValueError("this measurement comes from another program's file, which keeps no ledger of the light")
-        shares = self.dataset[list(FATES[1:])] / self.dataset["launched"]
-        return shares.assign_attrs(long_name="share of the launched energy")
+            raise ValueError("this measurement comes from another program's file, which keeps no energy budget")
+        return self.dataset[list(ENERGY_BUDGET[1:])]
 
     def merge(self, other: Measurement) -> Measurement:
         """This measurement and that of further specimens, as one: exact, associative, commutative.
@@ -235,11 +234,12 @@ class Measurement:
             attributes=_merged_attributes(self, other),
         )
 
-    def average(self, wi: ArrayLike, detector: Detector, hold: bool = False) -> Floats:
+    def average(self, wi: ArrayLike, detector: Detector, extrapolate: Extrapolation | None = None) -> Floats:
         """Cos-weighted averages over the bins of `detector` for light from `wi` (3,), 1/sr, shape (bins, W).
 
         At a measured incidence and with the measuring detector these are the measured values themselves; otherwise
-        they are averages of `eval`. Raises ValueError outside the measured range, unless `hold` (see `eval`).
+        they are averages of `eval`. Raises ValueError outside the measured range, unless told to `extrapolate` (see
+        `eval`).
         """
         theta, phi = (float(a) for a in angles(wi))
         nearest = self._incidence_at(theta, phi)
@@ -247,16 +247,17 @@ class Measurement:
             values = self.dataset["brdf"].sel(order="all").values[nearest]
             return np.array(values.reshape(-1, len(self.wavelengths)))
         wo, weights = detector.quadrature(wi, nodes=4)
-        return np.asarray((weights[..., None] * self.eval(wi, wo, hold)).sum(axis=1))
+        return np.asarray((weights[..., None] * self.eval(wi, wo, extrapolate)).sum(axis=1))
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike, hold: bool = False) -> Floats:
+    def eval(self, wi: ArrayLike, wo: ArrayLike, extrapolate: Extrapolation | None = None) -> Floats:
         """BRDF in 1/sr for light from `wi` (..., 3) seen from `wo` (..., 3), shape (..., W); order "all".
 
         Between measured incidences lobes move with the half vector and keep their energy (see `interpolation`). Raises
         ValueError for apertures, outside the measured range of incidences, and for another azimuth of the light unless
-        the data are isotropic; with `hold`, the nearest measured incidence stands for those outside.
+        the data are isotropic; with `extrapolate="nearest"` the nearest measured incidence stands
+        for those outside.
         """
-        return self._between(np.asarray(wi, np.float64), np.asarray(wo, np.float64), hold)
+        return self._between(np.asarray(wi, np.float64), np.asarray(wo, np.float64), extrapolate)
 
     @functools.cached_property
     def _between(self) -> Interpolation:
@@ -325,12 +326,11 @@ def _labelled(sums: xr.Dataset, detector: Detector, attributes: dict[str, Any]) 
 
     variables: dict[str, Any] = {}
     for suffix, x in (("", values), ("_standard_error", whole), ("_standard_error_mc", mc)):
-        variables[f"brdf{suffix}".removeprefix("brdf_")] = (per_bin, binned(x / area))
+        variables[f"brdf{suffix}"] = (per_bin, binned(x / area))
         variables[f"albedo{suffix}"] = (total, np.moveaxis(x[:, :, :, -1], 2, 0))
-    variables["hits"] = (per_bin[:-1], binned(sums["hits"].values))
+    variables["count"] = (per_bin[:-1], binned(sums["count"].values))
     variables["projected_solid_angle"] = (bin_dims, area[:-1, 0].reshape(shape))
-    for fate, name in enumerate(FATES):
-        variables[name] = ((*incidence, "wavelength"), sums["ledger"].values[:, :, fate])
+    variables |= _shares(sums["energy_budget"].values)
     for name in ("paths", "realisations", "replicates"):
         variables[name] = (incidence, sums[name].values)
     count, pilot = sums["realisations"].values, int(sums.attrs["pilot"])
@@ -339,6 +339,13 @@ def _labelled(sums: xr.Dataset, detector: Detector, attributes: dict[str, Any]) 
     coords = {d: sums[d].values for d in ("order", *incidence, "wavelength")}
     where, bounds = _bins(detector)
     return _described(xr.Dataset({**variables, **bounds}, {**coords, **where}, attributes))
+
+
+def _shares(budget: NDArray[np.int64]) -> dict[str, Any]:
+    """What each termination took of the launched energy, from the integers (theta_i, phi_i, termination, W)."""
+    with np.errstate(invalid="ignore"):
+        shares = budget / budget[:, :, :1]
+    return {name: (("theta_i", "phi_i", "wavelength"), shares[:, :, k]) for k, name in enumerate(ENERGY_BUDGET) if k}
 
 
 def _estimates(sums: xr.Dataset) -> tuple[Floats, Floats, Floats]:
@@ -356,7 +363,7 @@ def _estimates(sums: xr.Dataset) -> tuple[Floats, Floats, Floats]:
     squares = {name: UInt128(sums[f"{name}_high"].values, sums[f"{name}_low"].values) for name in _WIDE}
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = 1.0 / (paths * UNIT)
-        variance = squares["mc_scatter"].floats() / (pilot * (pilot - 1))
+        variance = squares["squared_deviations"].floats() / (pilot * (pilot - 1))
         mc = np.sqrt(variance * replicates) * scale
         whole = mc
         if (count > 1).any():
@@ -364,19 +371,25 @@ def _estimates(sums: xr.Dataset) -> tuple[Floats, Floats, Floats]:
             for k in np.unique(sums["realisations"].values[sums["realisations"].values > 1]):
                 chosen = sums["realisations"].values == k
                 part = UInt128(*(np.ascontiguousarray(half[chosen]) for half in squares["realisation_squares"]))
-                scatter[chosen] = part.scatter(np.ascontiguousarray(total[chosen]), int(k)).floats()
+                scatter[chosen] = part.squared_deviations(np.ascontiguousarray(total[chosen]), int(k)).floats()
             whole = np.where(count > 1, np.sqrt(scatter / (count - 1)) * scale, mc)
         return total * scale, mc, whole
 
 
+_BUDGET_VERBS = {
+    "escaped": "left the surface",
+    "absorbed": "was absorbed",
+    "truncated": "was still under way where the path was cut off",
+    "lost": "was lost through numerical gaps",
+}
 _UNITS = {
     "brdf": ("sr-1", "bidirectional reflectance distribution function, cos-weighted bin average"),
-    "standard_error": ("sr-1", "standard error of brdf: Monte Carlo and realisation noise"),
-    "standard_error_mc": ("sr-1", "standard error of brdf: Monte Carlo noise alone"),
+    "brdf_standard_error": ("sr-1", "standard error of brdf: Monte Carlo and realisation noise"),
+    "brdf_standard_error_mc": ("sr-1", "standard error of brdf: Monte Carlo noise alone"),
     "albedo": ("1", "directional-hemispherical reflectance"),
     "albedo_standard_error": ("1", "standard error of albedo: Monte Carlo and realisation noise"),
     "albedo_standard_error_mc": ("1", "standard error of albedo: Monte Carlo noise alone"),
-    "hits": ("1", "paths that arrived in the bin"),
+    "count": ("1", "paths that arrived in the bin"),
     "projected_solid_angle": ("sr", "integral of cos(theta_o) over the bin"),
     "paths": ("1", "paths launched, all realisations"),
     "realisations": ("1", "specimens measured"),
@@ -384,13 +397,13 @@ _UNITS = {
     "degrees_of_freedom": ("1", "of standard_error, for Student's t"),
     "degrees_of_freedom_mc": ("1", "of standard_error_mc, for Student's t"),
     "order": ("1", "number of surface hits"),
-    "theta_i": ("degree", "polar angle of the direction to the light"),
-    "phi_i": ("degree", "azimuth of the direction to the light"),
+    "theta_i": ("degree", "polar angle of the direction to the source"),
+    "phi_i": ("degree", "azimuth of the direction to the source"),
     "theta_o": ("degree", "polar angle of the direction to the detector"),
     "phi_o": ("degree", "azimuth of the direction to the detector"),
-    "dphi": ("degree", "phi_o - phi_i: 0 on the lamp's side, 180 on the mirror's"),
+    "dphi": ("degree", "phi_o - phi_i: 0 towards the source, 180 in the specular half plane"),
     "wavelength": ("nm", "wavelength in vacuum"),
-    **{name: ("2-32 path", f"{name} energy") for name in FATES},
+    **{name: ("1", f"share of the launched energy that {verb}") for name, verb in _BUDGET_VERBS.items()},
 }
 
 
@@ -412,7 +425,7 @@ def _described(dataset: xr.Dataset) -> xr.Dataset:
         if f"{name}_bounds" in dataset:
             dataset[name].attrs["bounds"] = f"{name}_bounds"
     dataset["wavelength"].attrs["standard_name"] = "radiation_wavelength"
-    ancillary = ("standard_error", "standard_error_mc", "hits")
+    ancillary = ("brdf_standard_error", "brdf_standard_error_mc", "count")
     dataset["brdf"].attrs["ancillary_variables"] = " ".join(name for name in ancillary if name in dataset)
     return dataset
 
@@ -429,8 +442,9 @@ def tabulated(
     """A measurement that comes from elsewhere: a real instrument, another program, a model.
 
     `brdf` holds cos-weighted bin averages in 1/sr, (theta_i, phi_i, theta_o, dphi, W), NaN where nothing is known, and
-    `standard_error` theirs if they are known; the bins are those of `detector`, angles are in degrees, `wavelengths` in
-    nm. `attributes` may hold `title`, `origin`, `isotropic` and whatever else is known of it, as text or numbers.
+    `brdf_standard_error` theirs if they are known; the bins are those of `detector`, angles are in degrees,
+    `wavelengths` in nm. `attributes` may hold `title`, `origin`, `isotropic` and whatever else is known of it, as text
+    or numbers.
     """
     import xarray as xr
 
@@ -445,13 +459,13 @@ def tabulated(
     albedo = np.where(np.isnan(values).all(axis=(2, 3)), np.nan, power)
     uncertain = np.sqrt(np.sum((np.where(np.isnan(values), 0.0, errors) * area[..., None]) ** 2, axis=(2, 3)))
     variables: dict[str, Any] = {}
-    for suffix, binned, whole in (("", values, albedo), ("standard_error", errors, uncertain)):
-        variables[suffix or "brdf"] = (per_bin, binned[None])
-        variables["_".join(filter(None, ("albedo", suffix)))] = ((*total, "wavelength"), whole[None])
-    variables["standard_error_mc"] = variables["standard_error"]
+    for suffix, binned, whole in (("", values, albedo), ("_standard_error", errors, uncertain)):
+        variables[f"brdf{suffix}"] = (per_bin, binned[None])
+        variables[f"albedo{suffix}"] = ((*total, "wavelength"), whole[None])
+    variables["brdf_standard_error_mc"] = variables["brdf_standard_error"]
     variables["albedo_standard_error_mc"] = variables["albedo_standard_error"]
     variables["projected_solid_angle"] = (per_bin[3:5], area)
     where, bounds = _bins(detector)
-    known = {"origin": "elsewhere", "isotropic": 0, "interrupted": 0, **(attributes or {})}
+    known = {"origin": "external", "isotropic": 0, "interrupted": 0, **(attributes or {})}
     known["detector"] = DETECTOR.dump_json(detector).decode()
     return Measurement(None, known, _described(xr.Dataset({**variables, **bounds}, {**coords, **where})))

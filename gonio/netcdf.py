@@ -1,4 +1,4 @@
-"""Measurements as netCDF-4 files."""
+"""Measurements as netCDF-4 files: the labelled dataset, and the exact integers it comes from in the group `sums`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gonio.detectors import DETECTOR, HemisphereGrid
+from gonio.measurement import Measurement, tabulated
 from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
     import xarray as xr
-from gonio.measurement import Measurement, tabulated
+
+FORMAT_VERSION = 1
+"""Of the file: the names and units of what it holds. Another one is refused in a sentence."""
 
 
 def save(measurement: Measurement, path: str | Path) -> Path:
@@ -24,7 +27,7 @@ def save(measurement: Measurement, path: str | Path) -> Path:
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
     content = io.BytesIO()  # in memory first: HDF5 does not survive a full disk
     groups = [
-        (None, measurement.dataset, "w"),
+        (None, measurement.dataset.assign_attrs(format_version=FORMAT_VERSION), "w"),
         *(() if measurement.sums is None else (("sums", measurement.sums, "a"),)),
     ]
     for group, dataset, mode in groups:
@@ -45,6 +48,12 @@ def load(path: str | Path) -> Measurement:
     try:
         with xr.open_dataset(path, engine="h5netcdf") as dataset:
             attributes = dict(dataset.attrs)
+            version = attributes.pop("format_version", 0)
+            if "detector" in attributes and version != FORMAT_VERSION:
+                raise ValueError(
+                    f"its format_version is {version}, and this gonio reads {FORMAT_VERSION}: measure again, or "
+                    "read it with the gonio that wrote it"
+                )
             DETECTOR.validate_json(attributes["detector"])
             if "origin" in attributes:
                 return _from_elsewhere(dataset.load(), attributes)
@@ -57,7 +66,7 @@ def load(path: str | Path) -> Measurement:
 def _from_elsewhere(dataset: xr.Dataset, attributes: Mapping[str, Any]) -> Measurement:
     """The measurement of a file without sums; KeyError or ValueError if it is none."""
     axes = ("theta_i", "phi_i", "theta_o", "dphi", "wavelength")
-    brdf, error = (dataset[name].sel(order="all").transpose(*axes) for name in ("brdf", "standard_error"))
+    brdf, error = (dataset[name].sel(order="all").transpose(*axes) for name in ("brdf", "brdf_standard_error"))
     theta_i, phi_i, wavelengths = (dataset[name].values for name in ("theta_i", "phi_i", "wavelength"))
     detector = DETECTOR.validate_json(attributes["detector"])
     if not isinstance(detector, HemisphereGrid) or brdf.shape[2:4] != detector.shape or error.shape != brdf.shape:

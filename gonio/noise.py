@@ -44,7 +44,7 @@ def variances(measurement: Measurement) -> xr.Dataset:
     if "realisations" not in data or int(data["realisations"].max()) < 2:
         raise ValueError("one specimen cannot tell its two noises apart: measure with realisations = 4 or more")
     result = {}
-    for name, error in (("brdf", "standard_error"), ("albedo", "albedo_standard_error")):
+    for name, error in (("brdf", "brdf_standard_error"), ("albedo", "albedo_standard_error")):
         result[f"{name}_monte_carlo"] = data[f"{error}_mc"] ** 2
         result[f"{name}_specimens"] = data[error] ** 2 - result[f"{name}_monte_carlo"]
     return xr.Dataset({name: part.assign_attrs(long_name=_LONG_NAMES[name]) for name, part in result.items()})
@@ -134,7 +134,7 @@ class Noises:
 def noises(measurement: Measurement) -> Noises:
     """How uncertain a measurement is, and why. Raises ValueError for fewer than two realisations."""
     parts, data = variances(measurement).sel(order="all"), measurement.dataset.sel(order="all")
-    area, value = data["projected_solid_angle"], data["brdf"].where(data["hits"] >= FEWEST)
+    area, value = data["projected_solid_angle"], data["brdf"].where(data["count"] >= FEWEST)
     light, albedo = (value * area).sum(), data["albedo"].where(data["albedo"] > 0)
     # Of relative variances var / f² the mean over the light f cosθ dω.
     bins = [float((parts[f"brdf_{part}"] * area / value).sum() / light) for part in _PARTS]

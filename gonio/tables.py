@@ -12,7 +12,7 @@ from rich.table import Table
 from microsurfaces.recipe import parameters as fields
 
 if TYPE_CHECKING:
-    from gonio.comparison import Verdict
+    from gonio.comparison import Comparison
     from gonio.fitting import Fit, Ranked
     from gonio.measurement import Measurement
     from gonio.models import Model
@@ -35,7 +35,7 @@ def albedo(measurement: Measurement) -> Table:
     table = _of_incidences(*(measurement.channels[i] for i in chosen))
     for theta, phi in _some(measurement):
         here = dataset.sel(theta_i=theta, phi_i=phi)
-        values, errors = here["albedo"].values, here["standard_error"].values
+        values, errors = here["albedo"].values, here["albedo_standard_error"].values
         table.add_row(_incidence(theta, phi), *(_with_error(values[i], errors[i]) for i in chosen))
     table.caption = "; ".join(
         f"{shown} of {whole} {things}"
@@ -60,7 +60,7 @@ def energy(measurement: Measurement) -> Table | None:
     """Orders of scattering and the ledger, means over the wavelengths; None where nobody kept them."""
     if measurement.sums is None:
         return None
-    reflected, ledger = measurement.dataset["albedo"].mean("wavelength"), measurement.ledger().mean("wavelength")
+    reflected, ledger = measurement.dataset["albedo"].mean("wavelength"), measurement.energy_budget().mean("wavelength")
     orders = reflected["order"].values[1:]
     hits = (f"{order[:-1]} or more" if order.endswith("+") else order for order in orders)
     table = _of_incidences(*(f"{many} hit{'s' * (many != '1')}" for many in hits), "absorbed", "lost or truncated")
@@ -107,9 +107,9 @@ def light(order: str) -> str:
     return "the light of one hit" if order == "1" else f"the light of {order} hits"
 
 
-def verdict(found: Verdict, every_wavelength: bool = False) -> Table:
-    """Albedo and lobe of a model, each with its verdict: a row an incidence, at the wavelength that differs most."""
-    table = _of_incidences(_unit(found), "albedo", "model", "verdict", "L1", "noise", "verdict")
+def comparison(found: Comparison, every_wavelength: bool = False) -> Table:
+    """Albedo and lobe of a model, each with its comparison: a row an incidence, at the wavelength that differs most."""
+    table = _of_incidences(_unit(found), "albedo", "model", "outcome", "L1", "noise", "outcome")
     for row in found.rows() if every_wavelength else found.worst_rows():
         measured, unknown = float(row["albedo_measured"]), row["lobe"] == "unknown"
         table.add_row(
@@ -117,7 +117,7 @@ def verdict(found: Verdict, every_wavelength: bool = False) -> Table:
             _channel(row),
             _concise(measured, float(row["albedo_standard_error"])),
             f"{row['albedo_bias']:+.2%}" if measured else "-",
-            "no errors" if unknown else "differs" if row["albedo_differs"] else "noise",
+            "no errors" if unknown else "significant" if row["albedo_significant"] else "consistent",
             f"{row['l1']:.1%}",
             "-" if unknown else f"{row['l1_noise']:.1%}",
             "no errors" if unknown else str(row["lobe"]),
@@ -125,7 +125,7 @@ def verdict(found: Verdict, every_wavelength: bool = False) -> Table:
     return table
 
 
-def metrics(found: Verdict, every_wavelength: bool = False) -> Table:
+def metrics(found: Comparison, every_wavelength: bool = False) -> Table:
     """How far the lobe differs by other measures, in brackets what noise alone would give."""
     table = _of_incidences(_unit(found), "L2 (noise)", "log-RMS (noise)", "chi2", "chi2 MC", "outside")
     for row in found.rows() if every_wavelength else found.worst_rows():
@@ -135,13 +135,13 @@ def metrics(found: Verdict, every_wavelength: bool = False) -> Table:
             _beside(row["l2"], row["l2_noise"], ".1%"),
             _beside(row["log_rms"], row["log_rms_noise"], ".3f"),
             _number(row["chi2"]),
-            "-" if found.scope == "elsewhere" else _number(row["chi2_mc"]),
+            "-" if found.scope == "external" else _number(row["chi2_mc"]),
             "-" if math.isnan(row["share_outside"]) else f"{row['share_outside']:.1%}",
         )
     return table
 
 
-def worst_bins(found: Verdict) -> Table | None:
+def worst_bins(found: Comparison) -> Table | None:
     """The bins that add most to the L1 difference beyond doubt; None if there are none."""
     rows = found.worst_bins()
     if not rows:
@@ -162,10 +162,10 @@ def worst_bins(found: Verdict) -> Table | None:
     return table
 
 
-def ranking(verdicts: Sequence[Verdict]) -> Table:
+def ranking(comparisons: Sequence[Comparison]) -> Table:
     """Several models side by side, the best lobe first: means and extremes over incidences and wavelengths."""
     table = _headed("model", "light", "albedo bias", "L1 (noise)", "log-RMS", "chi2")
-    for found in sorted(verdicts, key=lambda each: float(each.table["l1"].mean())):
+    for found in sorted(comparisons, key=lambda each: float(each.table["l1"].mean())):
         mean = {name: float(found.table[name].mean()) for name in ("l1", "l1_noise", "log_rms", "chi2")}
         bias = found.table["albedo_bias"].values.ravel()
         table.add_row(
@@ -214,15 +214,15 @@ def correlations(found: Fit) -> Table | None:
 
 def ranked(rows: Iterable[Ranked]) -> Table:
     """Fitted models from the best to the worst by the information criterion."""
-    table = _headed("model", "QAICc - best", "left (L1)", "variance/noise", "verdict")
+    table = _headed("model", "QAICc - best", "left (L1)", "variance/noise", "outcome")
     for place, row in enumerate(rows):
-        verdict = "worse" if row.told_apart else "as good: not told apart"
+        outcome = "worse" if row.told_apart else "as good: not told apart"
         table.add_row(
             name_of(row.fit.model),
             f"{row.difference:.1f} ± {row.uncertainty:.1f}" if place else "0",
             f"{row.fit.l1:.2%}",
             _number(row.fit.dispersion),
-            verdict if place else "best",
+            outcome if place else "best",
         )
     return table
 
@@ -242,12 +242,12 @@ def checks(found: Certificate) -> Table:
 
 def validation(rows: Iterable[Row]) -> Table:
     """Every number of one case of the ground truth."""
-    table = _headed("quantity", "measured", "error", "exact", "score", "limit", "verdict")
+    table = _headed("quantity", "measured", "error", "exact", "score", "limit", "outcome")
     for row in rows:
         error = "" if math.isnan(row.error) else f"{row.error:.1g}"
         score = f"{row.statistic} {row.score:.2g}".replace("difference", "off by")
         numbers = (f"{row.measured:.5g}", error, f"{row.exact:.5g}", score, f"{row.limit:.2g}")
-        table.add_row(row.quantity, *numbers, row.verdict.split(" ")[0], style=_COLOURS.get(row.verdict))
+        table.add_row(row.quantity, *numbers, row.outcome.split(" ")[0], style=_COLOURS.get(row.outcome))
     return table
 
 
@@ -277,7 +277,7 @@ def _incidence(theta: float, phi: float) -> str:
     return f"{theta:g}°, {phi:g}°"
 
 
-def _unit(found: Verdict) -> str:
+def _unit(found: Comparison) -> str:
     """Heading of the column that says which wavelength, or which channel of a colour."""
     return "nm" if found.channels[0].endswith(" nm") else "channel"
 

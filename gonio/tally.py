@@ -46,10 +46,10 @@ class UInt128(NamedTuple):
         """Add the squares of `values` in place."""
         _add_square(self.high.ravel(), self.low.ravel(), np.ascontiguousarray(values).ravel())
 
-    def scatter(self, total: NDArray[np.int64], count: int) -> UInt128:
+    def squared_deviations(self, total: NDArray[np.int64], count: int) -> UInt128:
         """count · Σx² - (Σx)², where this is Σx² and `total` is Σx of `count` values: count² times their variance."""
         result = UInt128.zeros(self.high.shape)
-        _scatter(
+        _squared_deviations(
             result.high.ravel(),
             result.low.ravel(),
             self.high.ravel(),
@@ -79,7 +79,7 @@ class Tally:
     """Weights of the pilot's."""
     squares: UInt128
     """Squares of the pilot's weights, summed."""
-    hits: NDArray[np.int64]
+    count: NDArray[np.int64]
     """Paths that arrived, (orders, bins)."""
     ledger: NDArray[np.int64]
     """Absorbed, truncated, lost: (3, W)."""
@@ -100,8 +100,8 @@ class Tally:
         Both arrays hold zeros afterwards, ready for the next group.
         """
         pilots = np.array(replicates) < self.pilot
-        sums = (self.total, self.piloted, self.squares.high, self.squares.low, self.hits)
-        edges = [len(self.hits[0]) * slab // SLABS for slab in range(SLABS + 1)]
+        sums = (self.total, self.piloted, self.squares.high, self.squares.low, self.count)
+        edges = [len(self.count[0]) * slab // SLABS for slab in range(SLABS + 1)]
         for slab in range(replicates.start, replicates.start + SLABS):
             # Threads that finish together begin in different slabs.
             slab %= SLABS
@@ -117,13 +117,13 @@ class Tally:
         self.total += other.total
         self.piloted += other.piloted
         self.squares.add(other.squares)
-        self.hits += other.hits
+        self.count += other.count
         self.ledger += other.ledger
         self.replicates += other.replicates
 
-    def scatter(self) -> UInt128:
+    def squared_deviations(self) -> UInt128:
         """pilot · Σx² - (Σx)² over the pilot's replicates, of the shape of `total`."""
-        return self.squares.scatter(self.piloted, self.pilot)
+        return self.squares.squared_deviations(self.piloted, self.pilot)
 
 
 @njit(cache=True, nogil=True)
@@ -187,7 +187,7 @@ def _add_square(high, low, values):
 
 
 @njit(cache=True, nogil=True)
-def _scatter(result_high, result_low, high, low, total, count):
+def _squared_deviations(result_high, result_low, high, low, total, count):
     factor = uint64(count)
     for i in range(total.size):
         if total[i] == 0:

@@ -31,9 +31,9 @@ def from_function(f, grid=GRID, theta_i=(40.0,), phi_i=(0.0,), error=0.1, mc=0.0
     dataset = xr.Dataset(
         {
             "brdf": (dims, brdf),
-            "standard_error": (dims, np.full(shape, error)),
-            "standard_error_mc": (dims, np.full(shape, mc)),
-            "hits": (dims[:-1], np.full(shape[:-1], 100)),
+            "brdf_standard_error": (dims, np.full(shape, error)),
+            "brdf_standard_error_mc": (dims, np.full(shape, mc)),
+            "count": (dims[:-1], np.full(shape[:-1], 100)),
             "projected_solid_angle": (dims[3:5], grid.projected_solid_angles().reshape(grid.shape)),
             **{f"{n}_bounds": ((n, "bounds"), np.stack([e[:-1], e[1:]], axis=1)) for n, e in edges.items()},
         },

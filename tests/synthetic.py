@@ -66,7 +66,7 @@ def synthetic(
     freedom = FREEDOM if realisations == 1 else realisations - 1
     bins = ("theta_o", "dphi") if isinstance(detector, HemisphereGrid) else ("detector",)
     shape = (1, len(theta_i), len(phi_i))
-    names = ("brdf", "standard_error", "standard_error_mc")
+    names = ("brdf", "brdf_standard_error", "brdf_standard_error_mc")
     binned = {name: np.full((*shape, *detector.shape, len(wavelengths)), np.nan) for name in names}
     total = {
         f"albedo{name}": np.full((*shape, len(wavelengths)), np.nan)
@@ -101,7 +101,7 @@ def synthetic(
         {
             **{name: ((*front, *bins, "wavelength"), values) for name, values in binned.items()},
             **{name: ((*front, "wavelength"), values) for name, values in total.items()},
-            "hits": ((*front, *bins), counts),
+            "count": ((*front, *bins), counts),
             "paths": (front[1:], paths),
             "realisations": (front[1:], np.where(paths > 0, realisations, 0)),
             "degrees_of_freedom": (front[1:], np.full(paths.shape, freedom)),
@@ -134,14 +134,14 @@ def poisson(seed, photons, truth=TRUTH, theta_i=(30.0,), wavelengths=(550.0,), d
     brdf = base.dataset["brdf"]
     data = base.dataset.assign(
         brdf=(brdf.dims, value.mean(axis=0).reshape(brdf.shape)),
-        standard_error=(brdf.dims, error.reshape(brdf.shape)),
-        standard_error_mc=(brdf.dims, error.reshape(brdf.shape)),
-        hits=(brdf.dims[:-1], counts.sum(axis=0).reshape(brdf.shape[:-1])),
+        brdf_standard_error=(brdf.dims, error.reshape(brdf.shape)),
+        brdf_standard_error_mc=(brdf.dims, error.reshape(brdf.shape)),
+        count=(brdf.dims[:-1], counts.sum(axis=0).reshape(brdf.shape[:-1])),
     )
     return Synthetic(data, detector, base.attributes)
 
 
-def foreign(
+def external(
     truth=TRUTH,
     noise=None,
     seed=0,

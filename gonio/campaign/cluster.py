@@ -26,12 +26,12 @@ from urllib.parse import urlsplit
 
 from gonio.campaign import running
 from gonio.campaign.running import REPORT_SECONDS, ClusterError, Queue, Report, attempt
-from gonio.campaign.store import Folder
+from gonio.campaign.store import CampaignStore
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from gonio.campaign.units import Bench, Unit
+    from gonio.campaign.units import Unit, UnitRunner
     from gonio.experiment import Experiment
     from gonio.goniometer import Progress
 
@@ -86,7 +86,7 @@ def _silent(logger: logging.Logger) -> Iterator[None]:
 
 
 @dataclass
-class _Seat:
+class _Worker:
     """A worker of the cluster, and what it does now."""
 
     address: str
@@ -101,15 +101,15 @@ class _Seat:
 
 
 @dataclass
-class Crew:
+class WorkerPool:
     """The workers of a cluster, and who has which unit."""
 
     client: Client
     experiments: Sequence[Experiment]
     queue: Queue
     report: Report
-    folder: Folder
-    _seats: dict[int, _Seat] = field(default_factory=dict)
+    folder: CampaignStore
+    _workers: dict[int, _Worker] = field(default_factory=dict)
     _hired: int = 0
     _met: float = 0.0
     _heard: SimpleQueue[tuple[int, Any]] = field(default_factory=SimpleQueue)
@@ -119,7 +119,7 @@ class Crew:
         """Compute all units. Raises `InputError` if every worker is unfit, `ClusterError` and OSError."""
         self.client.subscribe_topic(self._topic, lambda event: self._heard.put(event[1]))
         try:
-            while self.queue.left or any(seat.unit for seat in self._seats.values()):
+            while self.queue.left or any(worker.unit for worker in self._workers.values()):
                 self._meet()
                 self._assign()
                 self._listen()
@@ -133,12 +133,12 @@ class Crew:
         if time.monotonic() - self._met < MEET_SECONDS:
             return
         present = self._present()
-        for number, seat in tuple(self._seats.items()):
-            if seat.address not in present:
+        for number, worker in tuple(self._workers.items()):
+            if worker.address not in present:
                 self._lost(number)
             else:
-                seat.leaving = present[seat.address]["status"].startswith("clos")
-        known = {seat.address for seat in self._seats.values()}
+                worker.leaving = present[worker.address]["status"].startswith("clos")
+        known = {worker.address for worker in self._workers.values()}
         for address, worker in present.items():
             if address not in known and worker["status"] == "running":
                 self._greet(address, worker["nthreads"])
@@ -157,28 +157,35 @@ class Crew:
         from gonio.campaign.units import versions
 
         known = hashlib.sha256((self.folder.path / "manifest.json").read_bytes()).hexdigest()
-        self._seats[self._hired] = _Seat(address, threads, None)
+        self._workers[self._hired] = _Worker(address, threads, None)
         self._give(self._hired, _greeting, _all_versions(versions()), str(self.folder.path), known, SHARED_SECONDS)
         self._hired += 1
 
     def _give(self, number: int, work: Any, *what: Any) -> None:
         """Have one worker, and no other, do something; its end is heard of in `_listen`."""
-        seat = self._seats[number]
-        seat.future = self.client.submit(work, *what, workers=[seat.address], pure=False, retries=0)
-        seat.future.add_done_callback(lambda future: self._heard.put((number, future)))
+        worker = self._workers[number]
+        worker.future = self.client.submit(work, *what, workers=[worker.address], pure=False, retries=0)
+        worker.future.add_done_callback(lambda future: self._heard.put((number, future)))
 
     def _assign(self) -> None:
         """Give every idle worker a unit, if there is one for it."""
-        for number, seat in self._seats.items():
-            if seat.fit and not seat.leaving and seat.unit is None:
-                others = [other.relief for other in self._seats.values() if other.unit and other.relief]
-                seat.unit = self.queue.take(seat.relief, others)
-                if seat.unit is None:
+        for number, worker in self._workers.items():
+            if worker.fit and not worker.leaving and worker.unit is None:
+                others = [other.relief for other in self._workers.values() if other.unit and other.relief]
+                worker.unit = self.queue.take(worker.relief, others)
+                if worker.unit is None:
                     return
-                seat.relief = seat.unit.relief
-                experiment = self.experiments[seat.unit.experiment]
+                worker.relief = worker.unit.relief
+                experiment = self.experiments[worker.unit.experiment]
                 self._give(
-                    number, _compute, seat.unit, experiment, str(self.folder.path), seat.threads, number, self._topic
+                    number,
+                    _compute,
+                    worker.unit,
+                    experiment,
+                    str(self.folder.path),
+                    worker.threads,
+                    number,
+                    self._topic,
                 )
 
     def _listen(self) -> None:
@@ -186,53 +193,53 @@ class Crew:
         with contextlib.suppress(Empty):
             number, content = self._heard.get(timeout=REPORT_SECONDS)
             while True:
-                seat = self._seats.get(number)
-                if seat is not None and seat.future is content:
-                    self._ended(number, seat)
-                elif seat is not None and seat.unit is not None and isinstance(content, (list, tuple)):
+                worker = self._workers.get(number)
+                if worker is not None and worker.future is content:
+                    self._ended(number, worker)
+                elif worker is not None and worker.unit is not None and isinstance(content, (list, tuple)):
                     name, paths, rays = content
-                    if name == seat.unit.name:
+                    if name == worker.unit.name:
                         self.queue.state.current[number] = paths, rays
                 number, content = self._heard.get_nowait()
 
-    def _ended(self, number: int, seat: _Seat) -> None:
+    def _ended(self, number: int, worker: _Worker) -> None:
         """A worker has done what it was given, or could not."""
-        future, unit, seat.future, seat.unit = seat.future, seat.unit, None, None
+        future, unit, worker.future, worker.unit = worker.future, worker.unit, None, None
         if future.status not in ("finished", "error"):
             raise _gone()
         error = future.exception() if future.status == "error" else None
         if unit is None:
-            self._greeted(seat, error)
+            self._greeted(worker, error)
         else:
             self.queue.settle(unit, _sentence(error), number, self.queue.state.current.get(number, (0, 0))[1])
 
-    def _greeted(self, seat: _Seat, error: BaseException | None) -> None:
+    def _greeted(self, worker: _Worker, error: BaseException | None) -> None:
         """A worker is fit, or is left out; raises `InputError` if none is fit."""
         from gonio.toml_files import InputError
 
-        seat.fit = error is None
-        self.queue.state.workers = sum(other.fit for other in self._seats.values())
+        worker.fit = error is None
+        self.queue.state.workers = sum(other.fit for other in self._workers.values())
         if error is not None:
             why = str(error) if isinstance(error, _UnfitError) else f"cannot run gonio ({_first_line(error)})"
-            self.queue.state.refused.append(f"worker {seat.address} {why}")
-        if not any(other.fit or other.future for other in self._seats.values()):
+            self.queue.state.refused.append(f"worker {worker.address} {why}")
+        if not any(other.fit or other.future for other in self._workers.values()):
             raise InputError(*self.queue.state.refused)
 
     def _lost(self, number: int) -> None:
         """A worker is gone: its unit is for another one."""
-        seat, state = self._seats.pop(number), self.queue.state
-        state.workers = sum(other.fit for other in self._seats.values())
+        worker, state = self._workers.pop(number), self.queue.state
+        state.workers = sum(other.fit for other in self._workers.values())
         state.current.pop(number, None)
-        if seat.future is not None:
-            seat.future.cancel()
-        if seat.unit is not None:
+        if worker.future is not None:
+            worker.future.cancel()
+        if worker.unit is not None:
             state.deaths += 1
-            if not self.queue.died(seat.unit):
-                self.queue.settle(seat.unit, _died(), number)
+            if not self.queue.died(worker.unit):
+                self.queue.settle(worker.unit, _died(), number)
 
     def _dismiss(self) -> None:
         """Leave nothing behind: units under way stop when their client is gone, reliefs are forgotten."""
-        fit = [seat.address for seat in self._seats.values() if seat.fit]
+        fit = [worker.address for worker in self._workers.values() if worker.fit]
         if fit and self.client.status == "running":
             with contextlib.suppress(OSError):
                 self.client.run(_forget, workers=fit, on_error="ignore")
@@ -291,20 +298,20 @@ class _AbandonedError(Exception):
 
 
 @dataclass
-class _Desk:
+class _Workplace:
     """A worker process's place of work: units are computed one at a time, each with all of its threads."""
 
     lock: threading.Lock = field(default_factory=threading.Lock)
-    bench: Bench | None = None
+    runner: UnitRunner | None = None
 
 
 @functools.cache
-def _desk() -> _Desk:
-    return _Desk()
+def _workplace() -> _Workplace:
+    return _Workplace()
 
 
 def _forget() -> None:
-    _desk().bench = None
+    _workplace().runner = None
 
 
 def _greeting(versions: dict[str, str], folder: str, manifest: str, patience: float) -> None:
@@ -325,7 +332,7 @@ def _greeting(versions: dict[str, str], folder: str, manifest: str, patience: fl
             raise _UnfitError(f"does not see {folder}: give a folder that all machines share under the same path")
         time.sleep(0.1)
     try:
-        with tempfile.TemporaryFile(dir=Folder(Path(folder)).units):
+        with tempfile.TemporaryFile(dir=CampaignStore(Path(folder)).units):
             pass
     except OSError as error:
         raise _UnfitError(f"cannot write to {folder}: {error.strerror}") from None
@@ -338,7 +345,7 @@ def _manifest(folder: str) -> str | None:
         return None
 
 
-def _compute(unit: Unit, experiment: Experiment, folder: str, threads: int, seat: int, topic: str) -> None:
+def _compute(unit: Unit, experiment: Experiment, folder: str, threads: int, number: int, topic: str) -> None:
     """Compute and keep a unit. Raises `_FailedError` if it cannot be, OSError where nothing can be written."""
     from distributed import get_worker
 
@@ -352,11 +359,11 @@ def _compute(unit: Unit, experiment: Experiment, folder: str, threads: int, seat
             raise _AbandonedError
         if time.monotonic() - last >= REPORT_SECONDS or paths == total:
             last = time.monotonic()
-            worker.log_event(topic, (seat, (unit.name, paths, rays)))
+            worker.log_event(topic, (number, (unit.name, paths, rays)))
 
     # Errors travel as plain text: Dask waits forever for one that it cannot read.
     try:
-        failure = attempt(lambda: _bench_measures(unit, experiment, Path(folder), threads, progress))
+        failure = attempt(lambda: _measure(unit, experiment, Path(folder), threads, progress))
     except OSError as error:
         refused: Exception | None = OSError(error.errno, error.strerror or str(error))
     except _AbandonedError:
@@ -369,13 +376,13 @@ def _compute(unit: Unit, experiment: Experiment, folder: str, threads: int, seat
         raise refused
 
 
-def _bench_measures(unit: Unit, experiment: Experiment, folder: Path, threads: int, progress: Progress) -> None:
-    """Measure a unit on this process's bench."""
-    from gonio.campaign.units import Bench
+def _measure(unit: Unit, experiment: Experiment, folder: Path, threads: int, progress: Progress) -> None:
+    """Measure a unit on this process's runner."""
+    from gonio.campaign.units import UnitRunner
 
-    desk = _desk()
-    with desk.lock:
-        if desk.bench is None or (desk.bench.folder.path, desk.bench.threads) != (folder, threads):
-            desk.bench = Bench(Folder(folder), threads)
-        bench = desk.bench
-        bench.measure(unit, experiment, progress)
+    place = _workplace()
+    with place.lock:
+        if place.runner is None or (place.runner.folder.path, place.runner.threads) != (folder, threads):
+            place.runner = UnitRunner(CampaignStore(folder), threads)
+        runner = place.runner
+        runner.measure(unit, experiment, progress)

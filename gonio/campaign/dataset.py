@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from gonio.campaign.store import Folder, keys_of, measurement_file
+from gonio.campaign.store import CampaignStore, keys_of, measurement_file
 from gonio.toml_files import InputError
 
 SINGLE = "campaign.nc"
@@ -43,10 +43,10 @@ def open_campaign(folder: str | Path) -> xr.Dataset:
     folder = Path(folder)
     if (folder / SINGLE).exists():
         return xr.open_dataset(folder / SINGLE, engine="h5netcdf")
-    manifest = Folder(folder).manifest()
+    manifest = CampaignStore(folder).manifest()
     entries = manifest["experiments"]
     _refuse_differences(folder, entries)
-    homes = [Folder(folder).measurements / measurement_file(entries, number) for number in range(len(entries))]
+    homes = [CampaignStore(folder).measurements / measurement_file(entries, number) for number in range(len(entries))]
     files = [path if path.exists() else None for path in homes]
     if not any(files):
         raise InputError(f"{folder}: has no merged measurements yet; first: gonio campaign merge {folder}")

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from gonio.campaign.results import merge
 from gonio.campaign.running import cores
-from gonio.campaign.store import Folder
+from gonio.campaign.store import CampaignStore
 from gonio.campaign.sweep import Campaign
-from gonio.campaign.units import Bench, Plan, Unit, units_of, unpacked
+from gonio.campaign.units import Plan, Unit, UnitRunner, units_of, unpacked
 from gonio.detectors import Klems
 from gonio.experiment import Experiment
 from gonio.goniometer import median_error
@@ -117,41 +117,41 @@ def plan(
     the number of paths; stratified starts make them smaller rather than larger. `progress` gets the units done and
     those in all. Raises `InputError` for what cannot be measured, MemoryError, and KeyboardInterrupt.
     """
-    whole, crew = Plan.of(campaign), max(1, workers)
+    whole, workers = Plan.of(campaign), max(1, workers)
     units, places = whole.shard(1, 1), _Places(campaign)
-    threads = threads or max(1, cores() // crew)
+    threads = threads or max(1, cores() // workers)
     at = places.of(units)
-    chosen = [units[i] for i in _spread(at, max(PILOTS, crew))]
+    chosen = [units[i] for i in _spread(at, max(PILOTS, workers))]
     idle = _memory()
     with tempfile.TemporaryDirectory() as scratch:
         trial = _Trial(campaign, Path(scratch), threads, pilot)
-        pilots = trial.run(chosen, crew, progress or (lambda done, total: None))
+        pilots = trial.run(chosen, workers, progress or (lambda done, total: None))
         merged = trial.merged(pilots[:MERGED])
     peak = _memory()
     memory = None if idle is None or peak is None else peak + idle * workers
     between = _Between(at, [units.index(sample.unit) for sample in pilots], pilots)
-    return _forecast(whole, units, between, (crew, threads), trial.start, merged, memory)
+    return _forecast(whole, units, between, (workers, threads), trial.start, merged, memory)
 
 
 def _forecast(
-    whole: Plan, units: Sequence[Unit], between: _Between, crew: tuple[int, int], start: float,
+    whole: Plan, units: Sequence[Unit], between: _Between, workers: tuple[int, int], start: float,
     merged: tuple[float, float], memory: int | None,
 ) -> Forecast:  # fmt: skip
-    """What the pilots tell about all units; `crew` is workers and threads, `merged` as `_Trial.merged` has it."""
+    """What the pilots tell about all units; `workers` is workers and threads, `merged` as `_Trial.merged` has it."""
     asked = np.array([unit.paths for unit in units], np.float64)
     needed, beyond = _needed(whole.campaign, units, between("bin_error"))
     seconds, build = between("fixed") + between("per_path") * needed, between("build")
     reliefs = list({unit.relief: place for place, unit in enumerate(units)}.values())
     # Where there are more workers than reliefs, each of them builds one.
-    idle = max(0, min(crew[0], len(units)) - len(reliefs))
+    idle = max(0, min(workers[0], len(units)) - len(reliefs))
     work = float(seconds.sum() + build[reliefs].sum() + idle * build.mean())
     sizes = between("size") + between("growth") * np.log(needed)
     traced = np.sqrt(needed * _blocks(units))
     bins, albedos = (_largest(whole, units, between(quantity) / traced) for quantity in ("bin_error", "albedo_error"))
     return Forecast(
         experiments=len(whole.units), units=len(units), reliefs=len(reliefs),
-        paths=int(asked.sum()), paths_needed=int(needed.sum()), workers=crew[0], threads=crew[1],
-        seconds=start + max(work / crew[0], float((seconds + build).max())), work=work,
+        paths=int(asked.sum()), paths_needed=int(needed.sum()), workers=workers[0], threads=workers[1],
+        seconds=start + max(work / workers[0], float((seconds + build).max())), work=work,
         units_bytes=int(sizes.sum()), merged_bytes=_merged_bytes(whole, units, sizes, merged), memory=memory,
         bin_error=(float(np.median(bins)), max(bins)), albedo_error=(float(np.median(albedos)), max(albedos)),
         beyond=beyond, pilots=tuple(between.pilots),
@@ -288,13 +288,13 @@ class _Trial:
 
     def __init__(self, campaign: Campaign, folder: Path, threads: int, paths: int | None) -> None:
         self._experiments, self._folder, self._threads, self._paths = campaign.experiments, folder, threads, paths
-        self._home = Folder(folder)
+        self._home = CampaignStore(folder)
         self._home.units.mkdir(parents=True)
         self._stop = threading.Event()
         self.start = 0.0
         """Seconds that a process takes before it is at its best."""
 
-    def run(self, units: Sequence[Unit], crew: int, progress: Told) -> list[Sample]:
+    def run(self, units: Sequence[Unit], workers: int, progress: Told) -> list[Sample]:
         """What units take, as many at a time as there are workers."""
         progress(0, len(units))
         self.start = sum(self._warm(unit) for unit in self._one_of_each_kind(units))
@@ -303,7 +303,7 @@ class _Trial:
         def sample(place: int) -> Sample | None:
             return self._sample(units[place]) if place < 2 or time.monotonic() < end else None
 
-        with ThreadPoolExecutor(crew) as pool:
+        with ThreadPoolExecutor(workers) as pool:
             try:
                 for done, found in enumerate(pool.map(sample, range(len(units))), 1):
                     samples += [found] if found else []
@@ -343,21 +343,21 @@ class _Trial:
 
     def _warm(self, unit: Unit) -> float:
         """Seconds that a unit takes if it is the first of its kind, beyond those of the next one."""
-        first, next_ = (self._measure(Bench(self._home, self._threads), unit, 1) for _ in range(2))
+        first, next_ = (self._measure(UnitRunner(self._home, self._threads), unit, 1) for _ in range(2))
         return max(0.0, first - next_)
 
     def _sample(self, unit: Unit) -> Sample:
         """Measure a unit, with more and more paths until it can be timed; the last two times tell what paths cost."""
         goniometer = self._experiments[unit.experiment].goniometer
         asked = math.ceil(goniometer.paths / goniometer.replicates)
-        bench = Bench(self._home, self._threads)
-        first = self._measure(bench, unit, 1)
-        least = self._measure(bench, unit, 1)
+        runner = UnitRunner(self._home, self._threads)
+        first = self._measure(runner, unit, 1)
+        least = self._measure(runner, unit, 1)
         runs = [(1, least), (1, least)]
         while runs[-1][0] < asked and runs[-1][1] - least < TRACING_SECONDS and not (self._paths and len(runs) > 2):
             wanted = self._paths / goniometer.replicates if self._paths else max(SMALLEST, runs[-1][0] * GROWTH)
             each = min(asked, math.ceil(wanted))
-            runs.append((each, self._measure(bench, unit, each)))
+            runs.append((each, self._measure(runner, unit, each)))
         return self._told(unit, max(first - least, 0.0), *runs[-2:])
 
     def _told(self, unit: Unit, build: float, less: tuple[int, float], more: tuple[int, float]) -> Sample:
@@ -377,12 +377,12 @@ class _Trial:
             sizes[1] - growth * math.log(paths), growth, bins, albedo,
         )  # fmt: skip
 
-    def _measure(self, bench: Bench, unit: Unit, each: int) -> float:
+    def _measure(self, runner: UnitRunner, unit: Unit, each: int) -> float:
         """Seconds that a unit took with so many paths a replicate."""
         experiment = self._small(unit, each)
         started = time.monotonic()
         try:
-            bench.measure(self._alone(unit, experiment), experiment, self._go_on)
+            runner.measure(self._alone(unit, experiment), experiment, self._go_on)
         except InputError as error:
             raise InputError(f"experiment {unit.experiment + 1}: {error}") from None
         return time.monotonic() - started
@@ -411,5 +411,5 @@ class _Trial:
 
 def _albedo_error(tally: Tally) -> float:
     """Relative error of one unit's albedo, at the worst wavelength."""
-    scatter = tally.squares.scatter(tally.total, tally.replicates).floats()[0, -1]
+    scatter = tally.squares.squared_deviations(tally.total, tally.replicates).floats()[0, -1]
     return float((np.sqrt(scatter / (tally.replicates - 1)) / np.maximum(tally.total[0, -1], 1)).max())

@@ -20,7 +20,7 @@ import xarray as xr
 from gonio import __version__
 from gonio.campaign.dataset import SINGLE, open_campaign, variable_name
 from gonio.campaign.results import Merged, cell, index_of, merge
-from gonio.campaign.store import Folder, keys_of, measurement_file, write_whole
+from gonio.campaign.store import CampaignStore, keys_of, measurement_file, write_whole
 from gonio.netcdf import load, save
 from gonio.noise import Noises
 from gonio.toml_files import InputError
@@ -126,7 +126,7 @@ class _Publication:
 
     def write(self) -> None:
         """Write everything, the checksums last."""
-        original = Folder(self.folder).manifest()
+        original = CampaignStore(self.folder).manifest()
         inputs = _inputs(original)
         self.manifest = _moved(original, inputs) | {"title": self.about.title}
         for path, name in inputs.items():
@@ -134,11 +134,11 @@ class _Publication:
             shutil.copyfile(path, self.target / name)
         write_whole(self.target / "manifest.json", json.dumps(self.manifest, indent=1).encode())
         (self.target / "thumbnails").mkdir()
-        Folder(self.target).measurements.mkdir()
+        CampaignStore(self.target).measurements.mkdir()
         names = [self._measurement(number) for number in range(len(self.manifest["experiments"]))]
         if self.single:
             _write_single(open_campaign(self.target), self.target / SINGLE, self._attributes())
-            shutil.rmtree(Folder(self.target).measurements)
+            shutil.rmtree(CampaignStore(self.target).measurements)
         write_whole(self.target / "index.csv", self._index(names).encode())
         write_whole(self.target / "datacite.json", json.dumps(_datacite(self.about), indent=1).encode())
         write_whole(self.target / "README.md", self._readme(names).encode())
@@ -150,7 +150,7 @@ class _Publication:
     def _measurement(self, number: int) -> str:
         """Write one measurement, with what it says of itself, and its drawing; the name of both, without suffix."""
         entries = self.manifest["experiments"]
-        path = Folder(self.target).measurements / measurement_file(entries, number)
+        path = CampaignStore(self.target).measurements / measurement_file(entries, number)
         told = self.about.attributes() | {"experiment": json.dumps(entries[number]["experiment"])}
         measurement = load(self.merged.files[number])
         # Written anew: HDF5 would keep what an attribute said before, such as where a file was on this machine.
@@ -225,8 +225,8 @@ class _Publication:
         """The noises of the whole, if they can be told apart."""
         found = list(self.merged.noises.values())
         words = (
-            "`standard_error` holds all that is uncertain, `standard_error_mc` the Monte Carlo part alone; intervals "
-            "are t standard errors on either side, with Student's t for `degrees_of_freedom`."
+            "`brdf_standard_error` holds all that is uncertain, `brdf_standard_error_mc` the Monte Carlo part alone; "
+            "intervals are t standard errors on either side, with Student's t for `degrees_of_freedom`."
         )
         if not found:
             return f"{words} One specimen of every surface was measured: errors speak of that specimen."

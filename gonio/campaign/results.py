@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from gonio.campaign.store import DamagedError, Folder, keys_of, measurement_file, write_whole
+from gonio.campaign.store import CampaignStore, DamagedError, keys_of, measurement_file, write_whole
 from gonio.campaign.units import joined
 from gonio.experiment import Experiment
 from gonio.measurement import Measurement
@@ -41,7 +41,7 @@ def merge(folder: str | Path, progress: Callable[[int, int], None] | None = None
 
     Raises `InputError` where there is no campaign, OSError where nothing can be written.
     """
-    home, result, names = Folder(Path(folder)), Merged(), list[str]()
+    home, result, names = CampaignStore(Path(folder)), Merged(), list[str]()
     entries, finished = home.manifest()["experiments"], home.finished()
     home.measurements.mkdir(exist_ok=True)
     for number, entry in enumerate(entries):
@@ -61,7 +61,7 @@ def merge(folder: str | Path, progress: Callable[[int, int], None] | None = None
     return result
 
 
-def _measurement(home: Folder, entry: Mapping[str, Any], result: Merged) -> Measurement | None:
+def _measurement(home: CampaignStore, entry: Mapping[str, Any], result: Merged) -> Measurement | None:
     """The measurement of one experiment; None if a unit is damaged."""
     experiment = TypeAdapter(Experiment).validate_json(json.dumps(entry["experiment"]))
     units = iter(entry["units"])

@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio.campaign.store import Folder, paths_of
+from gonio.campaign.store import CampaignStore, paths_of
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -89,7 +89,7 @@ Report = Callable[[State], None]
 class Queue:
     """The units that are missing, handed out so that each relief is built seldom, and others' work is done last."""
 
-    def __init__(self, units: Sequence[Unit], folder: Folder, run: str = "") -> None:
+    def __init__(self, units: Sequence[Unit], folder: CampaignStore, run: str = "") -> None:
         """`units` in their order; `run` is what a claim says besides host and process."""
         self._folder, self._run = folder, run
         finished = folder.finished()
@@ -148,9 +148,9 @@ class Queue:
             del self._groups[unit.relief]
         return unit
 
-    def settle(self, unit: Unit, failure: str | None, seat: int = 0, rays: int = 0) -> None:
-        """Worker `seat` has finished a unit with so many rays, or could not: the sentence why."""
-        self.state.current.pop(seat, None)
+    def settle(self, unit: Unit, failure: str | None, worker: int = 0, rays: int = 0) -> None:
+        """Worker `worker` has finished a unit with so many rays, or could not: the sentence why."""
+        self.state.current.pop(worker, None)
         self.state.finished_rays += rays
         self.state.finished_paths += unit.paths
         if failure is None:
@@ -210,7 +210,7 @@ def run(
     from gonio.campaign.units import Plan
 
     with contextlib.nullcontext() if scheduler is None else _connected(scheduler) as client:
-        plan, home = Plan.of(campaign), Folder(Path(folder))
+        plan, home = Plan.of(campaign), CampaignStore(Path(folder))
         manifest = plan.manifest()
         _refuse_other_versions(home, manifest["versions"])
         changed = home.create(manifest)
@@ -220,7 +220,7 @@ def run(
         if client:
             _on_cluster(client, campaign.experiments, queue, told, home)
         elif workers:
-            _Crew(campaign.experiments, queue, told, home, threads or max(1, cores() // workers)).run(workers)
+            _WorkerPool(campaign.experiments, queue, told, home, threads or max(1, cores() // workers)).run(workers)
         else:
             _alone(campaign.experiments, queue, told, home, threads or cores())
     return queue.state
@@ -233,7 +233,7 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def seconds_left(folder: Folder) -> float | None:
+def seconds_left(folder: CampaignStore) -> float | None:
     """How long a campaign will take at the pace of the last hour; None where too little was finished in it."""
     paths = paths_of(folder.manifest())
     with os.scandir(folder.units) as entries:
@@ -244,7 +244,7 @@ def seconds_left(folder: Folder) -> float | None:
     return left * (now - recent[0][0]) / done if done else None
 
 
-def _refuse_other_versions(folder: Folder, versions: dict[str, str]) -> None:
+def _refuse_other_versions(folder: CampaignStore, versions: dict[str, str]) -> None:
     """Raise `InputError` if the folder was begun with packages that may give other numbers."""
     from gonio.toml_files import InputError
 
@@ -285,21 +285,23 @@ def _connected(scheduler: str) -> contextlib.AbstractContextManager[Client]:
 
 
 def _on_cluster(
-    client: Client, experiments: Sequence[Experiment], queue: Queue, report: Report, folder: Folder
+    client: Client, experiments: Sequence[Experiment], queue: Queue, report: Report, folder: CampaignStore
 ) -> None:
-    from gonio.campaign.cluster import Crew
+    from gonio.campaign.cluster import WorkerPool
 
-    Crew(client, experiments, queue, report, Folder(folder.path.absolute())).run()
+    WorkerPool(client, experiments, queue, report, CampaignStore(folder.path.absolute())).run()
 
 
 # --- In this process -------------------------------------------------------------------------------------------------
 
 
-def _alone(experiments: Sequence[Experiment], queue: Queue, report: Report, folder: Folder, threads: int) -> None:
+def _alone(
+    experiments: Sequence[Experiment], queue: Queue, report: Report, folder: CampaignStore, threads: int
+) -> None:
     """Compute all units here, one after another."""
-    from gonio.campaign.units import Bench
+    from gonio.campaign.units import UnitRunner
 
-    bench, relief, state = Bench(folder, threads), None, queue.state
+    runner, relief, state = UnitRunner(folder, threads), None, queue.state
 
     def progress(paths: int, total: int, rays: int) -> None:
         state.current[0] = paths, rays
@@ -308,7 +310,7 @@ def _alone(experiments: Sequence[Experiment], queue: Queue, report: Report, fold
     try:
         while unit := queue.take(relief):
             relief = unit.relief
-            failure = attempt(lambda unit=unit: bench.measure(unit, experiments[unit.experiment], progress))  # type: ignore[misc]
+            failure = attempt(lambda unit=unit: runner.measure(unit, experiments[unit.experiment], progress))  # type: ignore[misc]
             queue.settle(unit, failure, rays=state.current.get(0, (0, 0))[1])
             report(state)
     finally:
@@ -319,7 +321,7 @@ def _alone(experiments: Sequence[Experiment], queue: Queue, report: Report, fold
 
 
 @dataclass
-class _Seat:
+class _Worker:
     """A place for a worker: the process that sits there now, and what it computes."""
 
     process: Any
@@ -328,30 +330,30 @@ class _Seat:
     relief: str | None = None
 
 
-class _Crew:
+class _WorkerPool:
     """Workers, and who has which unit. They write their units themselves, so that little passes through here."""
 
     def __init__(
-        self, experiments: Sequence[Experiment], queue: Queue, report: Report, folder: Folder, threads: int
+        self, experiments: Sequence[Experiment], queue: Queue, report: Report, folder: CampaignStore, threads: int
     ) -> None:
         self._experiments, self._queue, self._state, self._report = experiments, queue, queue.state, report
         self._task = str(folder.path), threads
-        self._seats: list[_Seat] = []
+        self._workers: list[_Worker] = []
 
     def run(self, workers: int) -> None:
         """Compute all units with so many processes."""
         try:
-            self._seats = [self._hired() for _ in range(min(workers, self._state.units - self._state.kept))]
+            self._workers = [self._hired() for _ in range(min(workers, self._state.units - self._state.kept))]
             while True:
-                for number, seat in enumerate(self._seats):
-                    if seat.unit is None:
+                for number, worker in enumerate(self._workers):
+                    if worker.unit is None:
                         self._assign(number)
-                busy = [seat.connection for seat in self._seats if seat.unit is not None]
+                busy = [worker.connection for worker in self._workers if worker.unit is not None]
                 if not busy:
                     break
                 ready = wait(busy, timeout=REPORT_SECONDS)
-                for number, seat in enumerate(self._seats):
-                    if seat.connection in ready:
+                for number, worker in enumerate(self._workers):
+                    if worker.connection in ready:
                         self._listen(number)
                 self._report(self._state)
             self._dismiss(STOP_SECONDS)
@@ -359,75 +361,75 @@ class _Crew:
             self._dismiss(0.0)
             self._queue.release_all()
 
-    def _hired(self) -> _Seat:
+    def _hired(self) -> _Worker:
         """A new worker. It is spawned, not forked: threads and locks of this process are none of its business."""
         context = multiprocessing.get_context("spawn")
         here, there = context.Pipe()
         process = context.Process(target=_work, args=(there, *self._task), daemon=True)
         process.start()
         there.close()  # so that this end tells when the worker dies
-        return _Seat(process, here)
+        return _Worker(process, here)
 
     def _assign(self, number: int) -> None:
         """Give a worker its next unit, if there is one for it."""
-        seat = self._seats[number]
-        others = [other.relief for other in self._seats if other is not seat and other.unit and other.relief]
-        unit = self._queue.take(seat.relief, others)
+        worker = self._workers[number]
+        others = [other.relief for other in self._workers if other is not worker and other.unit and other.relief]
+        unit = self._queue.take(worker.relief, others)
         if unit is None:
             return
-        seat.unit, seat.relief = unit, unit.relief
+        worker.unit, worker.relief = unit, unit.relief
         with contextlib.suppress(OSError):  # it is dead: heard of in `_listen`
-            seat.connection.send((unit, self._experiments[unit.experiment]))
+            worker.connection.send((unit, self._experiments[unit.experiment]))
 
     def _listen(self, number: int) -> None:
         """Take what a worker tells: how far it is, that it has finished, or that it is dead."""
-        seat = self._seats[number]
-        assert seat.unit is not None
+        worker = self._workers[number]
+        assert worker.unit is not None
         try:
-            kind, content = seat.connection.recv()
+            kind, content = worker.connection.recv()
         except (EOFError, OSError):
             self._replace(number)
             return
         if kind == "progress":
             self._state.current[number] = content
         elif kind == "done":
-            unit, seat.unit = seat.unit, None
+            unit, worker.unit = worker.unit, None
             self._queue.settle(unit, content[0], number, content[1])
         else:
             raise content
 
     def _replace(self, number: int) -> None:
         """Another worker in place of a dead one; its unit is computed again."""
-        seat, self._state.deaths = self._seats[number], self._state.deaths + 1
-        assert seat.unit is not None
-        seat.connection.close()
-        seat.process.join()
+        worker, self._state.deaths = self._workers[number], self._state.deaths + 1
+        assert worker.unit is not None
+        worker.connection.close()
+        worker.process.join()
         self._state.current.pop(number, None)
-        if not self._queue.died(seat.unit):
-            end = f"its worker died {DEATHS} times (exit code {seat.process.exitcode}), as when memory is short."
-            self._queue.settle(seat.unit, end, number)
-        self._seats[number] = self._hired()
+        if not self._queue.died(worker.unit):
+            end = f"its worker died {DEATHS} times (exit code {worker.process.exitcode}), as when memory is short."
+            self._queue.settle(worker.unit, end, number)
+        self._workers[number] = self._hired()
 
     def _dismiss(self, patience: float) -> None:
         """End all workers: a worker whose connection is closed goes by itself, or is made to."""
-        for seat in self._seats:
-            seat.connection.close()
+        for worker in self._workers:
+            worker.connection.close()
             if patience == 0.0:
-                seat.process.kill()
-        for seat in self._seats:
-            seat.process.join(patience or None)
-            if seat.process.exitcode is None:
-                seat.process.kill()
-                seat.process.join()
-        self._seats = []
+                worker.process.kill()
+        for worker in self._workers:
+            worker.process.join(patience or None)
+            if worker.process.exitcode is None:
+                worker.process.kill()
+                worker.process.join()
+        self._workers = []
 
 
 def _work(connection: Connection, folder: str, threads: int) -> None:
     """The life of a worker: computes the units that come through `connection` until it is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the coordinator's matter
-    from gonio.campaign.units import Bench
+    from gonio.campaign.units import UnitRunner
 
-    bench, last, traced = Bench(Folder(Path(folder)), threads), 0.0, 0
+    runner, last, traced = UnitRunner(CampaignStore(Path(folder)), threads), 0.0, 0
 
     def progress(paths: int, total: int, rays: int) -> None:
         nonlocal last, traced
@@ -442,7 +444,7 @@ def _work(connection: Connection, folder: str, threads: int) -> None:
             unit, experiment = connection.recv()
             traced = 0
             try:
-                failure = attempt(lambda u=unit, e=experiment: bench.measure(u, e, progress))  # type: ignore[misc]
+                failure = attempt(lambda u=unit, e=experiment: runner.measure(u, e, progress))  # type: ignore[misc]
             except (BrokenPipeError, ConnectionResetError):
                 return
             except OSError as error:

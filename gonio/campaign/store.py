@@ -35,7 +35,7 @@ class DamagedError(ValueError):
 
 
 @dataclass(frozen=True)
-class Folder:
+class CampaignStore:
     """The folder of a campaign."""
 
     path: Path
@@ -263,7 +263,7 @@ class Status:
     """Runs that work on it now, and how many units each has under way."""
 
 
-def status(folder: Folder) -> Status:
+def status(folder: CampaignStore) -> Status:
     """How far the campaign in `folder` is. Raises `InputError` where there is none."""
     manifest, finished = folder.manifest(), folder.finished()
     paths = paths_of(manifest)
@@ -280,7 +280,7 @@ def status(folder: Folder) -> Status:
     )  # fmt: skip
 
 
-def verify(folder: Folder) -> tuple[int, list[str]]:
+def verify(folder: CampaignStore) -> tuple[int, list[str]]:
     """Read every unit that the campaign asks for; how many are sound, and a sentence for each that is not.
 
     Damaged ones are set aside: running the campaign again computes them.

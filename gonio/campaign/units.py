@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from gonio.campaign.store import DamagedError, Folder, name_of
+from gonio.campaign.store import CampaignStore, DamagedError, name_of
 from gonio.campaign.sweep import Campaign
 from gonio.experiment import Experiment, instruction_set
 from gonio.goniometer import Goniometer, Incidence, Progress, empty_sums, enter
@@ -201,10 +201,10 @@ class Plan:
 
 
 @dataclass
-class Bench:
+class UnitRunner:
     """Measures units with a number of threads, and keeps the relief that was built last."""
 
-    folder: Folder
+    folder: CampaignStore
     threads: int
     _built: tuple[str, Scene] | None = None
 
@@ -266,7 +266,7 @@ def _packed(tally: Tally) -> dict[str, NDArray[Any]]:
         **piloted,
         "squares_high": tally.squares.high,
         "squares_low": tally.squares.low,
-        "hits": tally.hits,
+        "count": tally.count,
         "ledger": tally.ledger,
         "replicates": np.array(tally.replicates),
     }
@@ -280,7 +280,7 @@ def unpacked(goniometer: Goniometer, arrays: Mapping[str, NDArray[Any]]) -> Tall
         arrays["total"],
         arrays.get("piloted", arrays["total"]).copy(),
         UInt128(arrays["squares_high"], arrays["squares_low"]),
-        arrays["hits"],
+        arrays["count"],
         arrays["ledger"],
         int(arrays["replicates"]),
     )

@@ -85,7 +85,7 @@ def campaign_run(
     scheduler
         Address of a Dask scheduler, whose workers compute: tcp://HOST:PORT
     output
-        Folder of the campaign; out/NAME if not given, where NAME.toml is the file.
+        CampaignStore of the campaign; out/NAME if not given, where NAME.toml is the file.
     quiet
         Print nothing but errors.
     """
@@ -334,10 +334,10 @@ def campaign_status(folder: Path, /) -> None:
         The campaign's folder.
     """
     from gonio.campaign.running import seconds_left
-    from gonio.campaign.store import Folder, status
+    from gonio.campaign.store import CampaignStore, status
 
-    found = status(Folder(folder))
-    left = seconds_left(Folder(folder)) if found.runs else None
+    found = status(CampaignStore(folder))
+    left = seconds_left(CampaignStore(folder)) if found.runs else None
     if found.title:
         say(found.title, style="bold")
     share = found.paths_finished / found.paths
@@ -359,10 +359,10 @@ def campaign_verify(folder: Path, /) -> None:
     folder
         The campaign's folder.
     """
-    from gonio.campaign.store import Folder, verify
+    from gonio.campaign.store import CampaignStore, verify
 
     try:
-        sound, sentences = verify(Folder(folder))
+        sound, sentences = verify(CampaignStore(folder))
     except OSError as error:
         raise RunError(f"{folder} cannot be read or written ({reason(error)}).") from None
     complain(0, *sentences)
@@ -473,6 +473,6 @@ def campaign_publish(
 
 
 def _title_of(folder: Path) -> str:
-    from gonio.campaign.store import Folder
+    from gonio.campaign.store import CampaignStore
 
-    return str(Folder(folder).manifest()["title"])
+    return str(CampaignStore(folder).manifest()["title"])

@@ -54,7 +54,7 @@ def export(
     make_writable(to.parent)
     with telling_mistakes(), telling_refusals(to):
         with working(f"writing {to}"):
-            exported = formats.export(measurement.declared_isotropic() if isotropic else measurement, to, format)
+            exported = formats.export(measurement.as_isotropic() if isotropic else measurement, to, format)
         print(exported.path)
         with working(f"reading {to} back"):
             sentences = (*exported.notes, exported.loss.sentence())

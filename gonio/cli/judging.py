@@ -29,7 +29,7 @@ from gonio.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from gonio.comparison import Verdict
+    from gonio.comparison import Comparison
     from gonio.measurement import Measurement
     from gonio.models import Model
     from gonio.self_check import Certificate
@@ -48,36 +48,36 @@ def models_to_compare(
         return (), error.sentences
 
 
-def judge(measurement: Measurement, models: Sequence[Model], floor: float = 0.01) -> list[Verdict]:
+def judge(measurement: Measurement, models: Sequence[Model], floor: float = 0.01) -> list[Comparison]:
     """How each model compares with the light it speaks of; why one could not be compared is told."""
     from gonio import tables
     from gonio.comparison import compare
 
-    verdicts = []
+    comparisons = []
     for model in models:
         try:
             with working(f"comparing with {tables.name_of(model)}"):
-                verdicts.append(compare(measurement, model, floor))
+                comparisons.append(compare(measurement, model, floor))
         except ValueError as error:
             complain(0, f"{tables.name_of(model)}: {error}")
-    return verdicts
+    return comparisons
 
 
-def show_verdicts(verdicts: Sequence[Verdict], every_wavelength: bool = False) -> None:
+def show_comparisons(comparisons: Sequence[Comparison], every_wavelength: bool = False) -> None:
     """Print how each model compares, and what is noise and what is not."""
     from gonio import tables
 
-    for verdict in verdicts:
-        heading = f"{tables.name_of(verdict.model)} against {tables.light(verdict.order)}"
-        show_table(heading, tables.verdict(verdict, every_wavelength))
-    if verdicts:
+    for comparison in comparisons:
+        heading = f"{tables.name_of(comparison.model)} against {tables.light(comparison.order)}"
+        show_table(heading, tables.comparison(comparison, every_wavelength))
+    if comparisons:
         say(
             ("" if every_wavelength else "Of every incidence the wavelength whose albedo differs most; ")
             + "in brackets the standard error of its last "
             "digits. L1: how far the lobes differ, and how far noise alone would make them. Differs: noise does not "
             "explain it; unclear: specimens that move the whole lobe could; more realisations would tell."
         )
-        for sentence in dict.fromkeys(line for verdict in verdicts for line in verdict.preamble()):
+        for sentence in dict.fromkeys(line for comparison in comparisons for line in comparison.preamble()):
             say(sentence)
 
 
@@ -129,40 +129,40 @@ def compare(
             f"{file}: no model describes this specimen by itself; name one with --model, such as "
             '--model "cook-torrance m=0.3 material.name=Au".'
         )
-    verdicts = judge(measurement, chosen, floor)
-    show_verdicts(verdicts, all)
-    for verdict in verdicts:
-        show_table(f"{tables.name_of(verdict.model)}, other measures of the lobe", tables.metrics(verdict, all))
-        show_table("The bins that add most to L1, beyond doubt (3 standard errors)", tables.worst_bins(verdict))
-    if verdicts:
+    comparisons = judge(measurement, chosen, floor)
+    show_comparisons(comparisons, all)
+    for comparison in comparisons:
+        show_table(f"{tables.name_of(comparison.model)}, other measures of the lobe", tables.metrics(comparison, all))
+        show_table("The bins that add most to L1, beyond doubt (3 standard errors)", tables.worst_bins(comparison))
+    if comparisons:
         say(
             f"L2: root mean square over projected solid angle. log-RMS: of ln(measured / model) above {floor:g} of "
             "the peak; 0.1 is a typical factor of 1.1. chi2: mean square in standard errors, 1 if there is nothing "
             "but noise; MC: with Monte Carlo noise alone. Noise leaves 5 % of the bins outside their interval."
         )
-        for verdict in verdicts:
-            say(f"{tables.name_of(verdict.model)}: {verdict.conclusion()}")
-    if len(verdicts) > 1:
-        show_table("All models, the best lobe first", tables.ranking(verdicts))
+        for comparison in comparisons:
+            say(f"{tables.name_of(comparison.model)}: {comparison.conclusion()}")
+    if len(comparisons) > 1:
+        show_table("All models, the best lobe first", tables.ranking(comparisons))
     if output is not None:
         make_writable(output)
-        for path in _save_verdicts(measurement, verdicts, output):
+        for path in _save_verdicts(measurement, comparisons, output):
             print(path)
-    if len(verdicts) < len(chosen):
-        raise RunError(f"{len(chosen) - len(verdicts)} of {len(chosen)} models could not be compared.")
+    if len(comparisons) < len(chosen):
+        raise RunError(f"{len(chosen) - len(comparisons)} of {len(chosen)} models could not be compared.")
 
 
-def _save_verdicts(measurement: Measurement, verdicts: Sequence[Verdict], folder: Path) -> Iterator[Path]:
-    """Write the numbers and the maps of every verdict; the files."""
+def _save_verdicts(measurement: Measurement, comparisons: Sequence[Comparison], folder: Path) -> Iterator[Path]:
+    """Write the numbers and the maps of every comparison; the files."""
     from gonio import plots
 
-    for number, verdict in enumerate(verdicts, 1):
-        name = type(verdict.model).__name__
-        unique = sum(type(other.model).__name__ == name for other in verdicts) == 1
+    for number, comparison in enumerate(comparisons, 1):
+        name = type(comparison.model).__name__
+        unique = sum(type(other.model).__name__ == name for other in comparisons) == 1
         stem = folder / (name if unique else f"{name}-{number}")
         with telling_refusals(folder):
-            yield verdict.save(stem.with_suffix(".nc"))
-            yield plots.difference(measurement, verdict, stem.with_suffix(".png"))
+            yield comparison.save(stem.with_suffix(".nc"))
+            yield plots.difference(measurement, comparison, stem.with_suffix(".png"))
 
 
 @app.command
@@ -320,7 +320,7 @@ def validate(
             interrupted = True
     for name, group in itertools.groupby(rows, key=lambda row: row.case):
         show_table(name, tables.validation(group))
-    failures = sum(row.verdict == "FAILS" for row in rows)
+    failures = sum(row.outcome == "FAILS" for row in rows)
     say(
         f"{len(rows)} numbers in {time.monotonic() - started:.0f} s, {failures} fail. Scores are Student's t, the "
         "excess of chi2 per bin in units of its scatter, or a difference that has a stated bound; 'rejected' are wrong "

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gonio.cli.judging import insist, judge, models_to_compare, show_verdicts
+from gonio.cli.judging import insist, judge, models_to_compare, show_comparisons
 from gonio.cli.terminal import (
     Meter,
     Output,
@@ -34,7 +34,7 @@ from gonio.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from gonio.comparison import Verdict
+    from gonio.comparison import Comparison
     from gonio.experiment import Experiment
     from gonio.measurement import Measurement
     from gonio.models import Model
@@ -106,13 +106,13 @@ def run(
     _write_results(experiment, measurement, folder)
     models, complaints = models_to_compare(measurement, experiment.compare)
     complain(0, *complaints)
-    verdicts = [] if quiet and no_pictures else judge(measurement, models)
+    comparisons = [] if quiet and no_pictures else judge(measurement, models)
     certificate = Certificate.from_json(measurement.attributes["certificate"])
     if not quiet:
-        _report(measurement, verdicts, meter, seconds)
+        _report(measurement, comparisons, meter, seconds)
         for sentence in certificate.summary():
             say(sentence)
-    shown = [] if no_pictures else _show(measurement, models, verdicts, folder)
+    shown = [] if no_pictures else _show(measurement, models, comparisons, folder)
     if not quiet:
         files = ", ".join(("measurement.nc", "experiment.toml", *shown))
         hint = "" if no_pictures or _can_write_pages() else f' (pip install "gonio[report]" adds {PAGE})'
@@ -148,7 +148,9 @@ def _write_numbers(experiment: Experiment, measurement: Measurement, folder: Pat
         experiment.write(path)
 
 
-def _show(measurement: Measurement, models: Sequence[Model], verdicts: Sequence[Verdict], folder: Path) -> list[str]:
+def _show(
+    measurement: Measurement, models: Sequence[Model], comparisons: Sequence[Comparison], folder: Path
+) -> list[str]:
     """Draw every picture that this measurement allows, and put them into a page; the names of the files."""
     from gonio import plots
     from gonio.reporting import report
@@ -158,8 +160,8 @@ def _show(measurement: Measurement, models: Sequence[Model], verdicts: Sequence[
         options = {"models": models} if name in WITH_MODELS else {}
         shown += _made(partial(getattr(plots, name), measurement, **options), folder / f"{name}.png")
     if _can_write_pages():
-        others = [model for model in models if all(model is not verdict.model for verdict in verdicts)]
-        page = partial(report, measurement, models=(*verdicts, *others), pictures=tuple(shown))
+        others = [model for model in models if all(model is not comparison.model for comparison in comparisons)]
+        page = partial(report, measurement, models=(*comparisons, *others), pictures=tuple(shown))
         shown += _made(page, folder / PAGE)
     return [path.name for path in shown]
 
@@ -178,7 +180,7 @@ def _can_write_pages() -> bool:
     return importlib.util.find_spec("plotly") is not None
 
 
-def _report(measurement: Measurement, verdicts: Sequence[Verdict], meter: Meter, seconds: float) -> None:
+def _report(measurement: Measurement, comparisons: Sequence[Comparison], meter: Meter, seconds: float) -> None:
     """What was measured, in two tables, how sure it is, and how well the models do."""
     from gonio import tables
     from gonio.noise import noises
@@ -190,9 +192,9 @@ def _report(measurement: Measurement, verdicts: Sequence[Verdict], meter: Meter,
     if int(measurement.dataset["realisations"].max()) > 1:
         for sentence in noises(measurement).sentences():
             say(sentence)
-    elif not verdicts:
+    elif not comparisons:
         say("One specimen was measured: the errors are its Monte Carlo noise, other specimens may differ by more.")
-    show_verdicts(verdicts)
+    show_comparisons(comparisons)
 
 
 @app.command

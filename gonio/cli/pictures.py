@@ -350,7 +350,7 @@ def render(
 
     source: Measurement | Path = file
     if file.suffix.lower() != ".bsdf":
-        source = load_measurement(file).declared_isotropic() if isotropic else load_measurement(file)
+        source = load_measurement(file).as_isotropic() if isotropic else load_measurement(file)
     make_writable(output.parent)
     try:
         with telling_mistakes(), telling_refusals(output), working(f"rendering {output}"):

@@ -45,7 +45,7 @@ _FINE = HemisphereGrid(theta_step=2.0, phi_step=3.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
+class Comparison:
     """A model judged against a measurement: numbers in `table`, words from `sentences()`.
 
     `table` is an `xarray.Dataset` over theta_i, phi_i, wavelength, NaN where nothing was measured, and in all that
@@ -55,12 +55,12 @@ class Verdict:
       directional-hemispherical reflectance of the compared order; `albedo_bias`: model / measured - 1;
     * `z`, `p_value`: their difference (measured - model) in standard errors, and the probability of one at least as
       large by chance, by Student's t with `degrees_of_freedom` (infinite for a measurement that comes from
-      elsewhere: its errors are taken as they are); `albedo_differs`: whether that is less than 5 %, all
+      elsewhere: its errors are taken as they are); `albedo_significant`: whether that is less than 5 %, all
       the incidences and wavelengths of the comparison together (Sidak); `albedo_within_mc`: whether Monte Carlo noise
       alone explains it;
     * `l1`: the lobe's difference, the sum of |measured - model| times projected solid angle over the pooled bins, as a
       share of the model's albedo; `l1_noise`: what noise alone is expected to add up to, `l1_noise_mc` the Monte Carlo
-      noise alone; `lobe`: "noise", "unclear" or "differs" (see `compare`), "unknown" without errors, and
+      noise alone; `lobe`: "consistent", "inconclusive" or "significant" (see `compare`), "unknown" without errors, and
       `lobe_within_mc`: whether Monte Carlo noise alone explains it;
     * `l2`, `l2_noise`: root mean square over projected solid angle, as a share of that of the model;
     * `log_rms`, `log_rms_noise`: root mean square over projected solid angle of ln(measured / model) where both exceed
@@ -85,7 +85,7 @@ class Verdict:
     """The model that was judged."""
     order: str
     """The order of scattering that it was compared with: "1", "all" ..."""
-    scope: Literal["specimen", "class", "elsewhere"]
+    scope: Literal["specimen", "ensemble", "external"]
     """What the error bars speak of: this one specimen (one realisation), the class that several were drawn from, or
     whatever those mean by them who made a measurement that comes from elsewhere."""
     realisations: int
@@ -98,12 +98,13 @@ class Verdict:
     """What the values along `wavelength` are called: "550 nm", "R" ..."""
 
     def sentences(self) -> list[str]:
-        """The verdict in plain sentences: what it speaks of, then two for each incidence, at its worst wavelength."""
+        """The comparison in plain sentences: what it speaks of, then two for each incidence, at its worst
+        wavelength."""
         return [*self.preamble(), *(line for row in self.worst_rows() for line in self._describe(row))]
 
     def preamble(self) -> list[str]:
-        """What the verdict speaks of."""
-        if self.scope == "elsewhere":
+        """What the comparison speaks of."""
+        if self.scope == "external":
             return [*self._of_errors(), *self._of_orders(), *self._of_unknown()]
         if self.scope == "specimen":
             scope = (
@@ -160,9 +161,9 @@ class Verdict:
     def conclusion(self) -> str:
         """Whether the model may be trusted, in one sentence: below which noise the disagreement is, or how large."""
         rows = self.rows()
-        differs = [row for row in rows if row["albedo_differs"] or row["lobe"] == "differs"]
+        differs = [row for row in rows if row["albedo_significant"] or row["lobe"] == "significant"]
         if differs:
-            lobes = [row["l1"] - row["l1_noise"] for row in differs if row["lobe"] == "differs"]
+            lobes = [row["l1"] - row["l1_noise"] for row in differs if row["lobe"] == "significant"]
             lobe = f", its lobe by up to {_percent(max(lobes))} (L1) beyond noise" if lobes else ""
             return (
                 f"noise does not explain the difference at {len(differs)} of {len(rows)} incidences and wavelengths; "
@@ -176,11 +177,11 @@ class Verdict:
         albedo = max(2.0 * row["albedo_standard_error"] / max(row["albedo_measured"], 1e-300) for row in rows)
         lobe = max(row["l1_noise"] for row in rows)
         level = f"{_percent(albedo)} of the albedo (two standard errors) and {_percent(lobe)} of the lobe (L1)"
-        if any(row["lobe"] == "unclear" for row in rows):
+        if any(row["lobe"] == "inconclusive" for row in rows):
             return f"specimens differ too much to tell; more realisations would. They limit it to {level}."
         within_mc = all(row["albedo_within_mc"] and row["lobe_within_mc"] for row in rows)
         noise = "the Monte Carlo noise" if within_mc else "the noise of specimens, though not of Monte Carlo"
-        noise = "the noise that its file tells" if self.scope == "elsewhere" else noise
+        noise = "the noise that its file tells" if self.scope == "external" else noise
         return f"the disagreement is below {noise}, which is up to {level}."
 
     def save(self, path: str | Path) -> Path:
@@ -249,7 +250,7 @@ class Verdict:
         return [f"{where}: {self._albedo_sentence(row)}", f"{where}: {self._lobe_sentence(row)}"]
 
     def _which_noise(self, within_mc: bool) -> str:
-        if self.scope == "elsewhere":
+        if self.scope == "external":
             return "within the errors of the file"
         return (
             "within the Monte Carlo noise" if within_mc else "above the Monte Carlo noise, within what specimens differ"
@@ -269,7 +270,7 @@ class Verdict:
         score = (
             f"t = {row['z']:.3g} with {freedom:.0f} degrees of freedom" if freedom < np.inf else f"z = {row['z']:.3g}"
         )
-        judgement = "not noise" if row["albedo_differs"] else self._which_noise(row["albedo_within_mc"])
+        judgement = "not noise" if row["albedo_significant"] else self._which_noise(row["albedo_within_mc"])
         return (
             f"{albedo} {measured:.{digits}f} ± {error:.{digits}f}, {name} {model:.{digits}f}: {comparison}, {score}, "
             f"p = {row['p_value']:.2g}: {judgement}."
@@ -279,13 +280,13 @@ class Verdict:
         if row["lobe"] == "unknown":
             return f"the lobe differs by {_percent(row['l1'])} (L1)."
         words = {
-            "noise": self._which_noise(row["lobe_within_mc"]),
-            "unclear": (
+            "consistent": self._which_noise(row["lobe_within_mc"]),
+            "inconclusive": (
                 "more than independent noise, but specimens can shift a whole lobe: more realisations would tell"
             ),
-            "differs": "not noise",
+            "significant": "not noise",
         }
-        bins = "bins" if self.scope == "elsewhere" else "pooled bins"
+        bins = "bins" if self.scope == "external" else "pooled bins"
         return (
             f"the lobe differs by {_percent(row['l1'])} (L1), of which noise alone would give "
             f"{_percent(row['l1_noise'])}; {_percent(row['share_outside'])} of {row['bins']} {bins} are outside their "
@@ -385,7 +386,7 @@ def predicted(model: Model, wi: Vectors, detector: Detector, wavelengths: Array)
     return Estimate(average, np.zeros_like(average))
 
 
-def compare(measurement: Measurement, model: Model, floor: float = FLOOR) -> Verdict:
+def compare(measurement: Measurement, model: Model, floor: float = FLOOR) -> Comparison:
     """Judge `model` against the order of `measurement` that it speaks of, incidence by incidence, bin by bin.
 
     A measurement that comes from elsewhere keeps no orders apart: `model` is judged against all of its light. Every bin
@@ -396,10 +397,10 @@ def compare(measurement: Measurement, model: Model, floor: float = FLOOR) -> Ver
     specimens as well if several were. The numerical error of the model's averages counts as noise too. `floor` is the
     share of the lobe's peak below which logarithms are not compared.
 
-    The albedo differs if Student's t says so (see `Verdict`). The lobe is "noise" as long as its L1 difference stays
-    within three standard deviations of what independent noise in every bin adds up to. But specimens may move a lobe as
-    a whole: "differs" needs more than realisation noise could give even if it were the same in all bins (97.5 % limit);
-    between the two it is "unclear", and more realisations would tell.
+    The albedo differs if Student's t says so (see `Comparison`). The lobe is "consistent" as long as its L1 difference
+    stays within three standard deviations of what independent noise in every bin adds up to. But specimens may move a
+    lobe as a whole: "significant" needs more than realisation noise could give even if it were the same in all bins
+    (97.5 % limit); between the two it is "inconclusive", and more realisations would tell.
 
     Raises ValueError if the measurement holds no incidence or not the model's order, if its light came from whole
     patches (`Klems`), or if the model cannot be averaged over its bins.
@@ -431,16 +432,16 @@ def compare(measurement: Measurement, model: Model, floor: float = FLOOR) -> Ver
     table = xr.Dataset({name: (tuple(coordinates), column) for name, column in columns.items()}, coordinates)
     scope, realisations, beam = _scope(measurement)
     binned_lobes = _bin_by_bin(data, detector, lobes)
-    return Verdict(table, binned_lobes, model, order, scope, realisations, beam, floor, measurement.channels)
+    return Comparison(table, binned_lobes, model, order, scope, realisations, beam, floor, measurement.channels)
 
 
-def _scope(measurement: Measurement) -> tuple[Literal["specimen", "class", "elsewhere"], int, float]:
+def _scope(measurement: Measurement) -> tuple[Literal["specimen", "ensemble", "external"], int, float]:
     """What the errors of a measurement speak of, how many specimens it holds, and half the angle of the lamp's beam."""
     if "realisations" not in measurement.dataset:
-        return "elsewhere", 0, 0.0
+        return "external", 0, 0.0
     realisations = int(measurement.dataset["realisations"].values[measurement.measured].min())
     beam = float(json.loads(measurement.attributes["goniometer"]).get("beam_half_angle", 0.0))
-    return "specimen" if realisations == 1 else "class", realisations, beam
+    return "specimen" if realisations == 1 else "ensemble", realisations, beam
 
 
 _BINNED = ("measured", "standard_error", "model", "significance")
@@ -465,7 +466,7 @@ def _bin_by_bin(data: xr.Dataset, detector: Detector, lobes: dict[str, Array]) -
 
 def _blank(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
     """An array that says "not measured": NaN, 0, False or an empty word."""
-    return np.full(shape, np.nan) if dtype.kind == "f" else np.zeros(shape, "U7" if dtype.kind == "U" else dtype)
+    return np.full(shape, np.nan) if dtype.kind == "f" else np.zeros(shape, "U12" if dtype.kind == "U" else dtype)
 
 
 def _judge(
@@ -521,14 +522,14 @@ def _predict(model: Model, wi: Vectors, detector: Detector, wavelengths: Array) 
 def _incidence(data: xr.Dataset) -> _Incidence:
     brdf, error, error_mc = (
         data[name].transpose(..., "wavelength").values.reshape(-1, data.sizes["wavelength"])
-        for name in ("brdf", "standard_error", "standard_error_mc")
+        for name in ("brdf", "brdf_standard_error", "brdf_standard_error_mc")
     )
     total, error_of_total, error_of_total_mc = (
         data[f"albedo{suffix}"].values for suffix in ("", "_standard_error", "_standard_error_mc")
     )
     hits, freedom, freedom_mc = None, _SURE, _SURE
-    if "hits" in data:
-        hits = data["hits"].values.ravel()
+    if "count" in data:
+        hits = data["count"].values.ravel()
         freedom, freedom_mc = (float(data[name]) for name in ("degrees_of_freedom", "degrees_of_freedom_mc"))
     return _Incidence(brdf, error, error_mc, total, error_of_total, error_of_total_mc, hits, freedom, freedom_mc)
 
@@ -554,7 +555,7 @@ def _albedo(there: _Incidence, prediction: _Prediction, level: float) -> dict[st
         "z": z,
         "degrees_of_freedom": np.inf if there.freedom == _SURE else there.freedom,
         "p_value": p_value,
-        "albedo_differs": p_value < level,
+        "albedo_significant": p_value < level,
         "albedo_within_mc": 2.0 * stdtr(there.freedom_mc, -np.abs(z_mc)) >= level,
     }
 
@@ -648,12 +649,12 @@ def _lobe(pools: _Pools, albedo: Array, freedom: float) -> dict[str, Any]:
     noise_mc, limit_mc = _l1_of_noise(pools.error_mc, pools.freedom_mc)
     ceiling = limit + _l1_of_shifts(pools, freedom)
     unknown = np.isnan(limit)
-    verdict = np.where(l1 <= limit, "noise", np.where(l1 <= ceiling, "unclear", "differs"))
+    outcome = np.where(l1 <= limit, "consistent", np.where(l1 <= ceiling, "inconclusive", "significant"))
     return {
         "l1": _in_units(l1, albedo),
         "l1_noise": _in_units(noise, albedo),
         "l1_noise_mc": _in_units(noise_mc, albedo),
-        "lobe": np.where(unknown, "unknown", verdict),
+        "lobe": np.where(unknown, "unknown", outcome),
         "lobe_within_mc": l1 <= limit_mc,
         "share_outside": np.where(unknown, np.nan, outside.mean(axis=0)),
         "share_noise_expected": np.where(unknown, np.nan, 1.0 - CONFIDENCE),

@@ -94,7 +94,7 @@ def _notes(lobes: Lobes, missing: int, bins: int) -> Sequence[str]:
         notes.append(
             "one azimuth of the light is known of an anisotropic specimen; programs will take it for isotropic"
         )
-    if lobes.measured().dataset["standard_error"].notnull().any():
+    if lobes.measured().dataset["brdf_standard_error"].notnull().any():
         notes.append("the format has no place for standard errors")
     return notes
 

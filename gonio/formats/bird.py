@@ -80,7 +80,7 @@ def _columns(lobes: Lobes, measurement: Measurement) -> tuple[Mapping[str, Seque
     """Every list of the file as pieces of text, and what had to be bent."""
     data = measurement.dataset
     known = data["brdf"].sel(order="all").notnull()
-    errors = bool(data["standard_error"].sel(order="all").notnull().where(known, True).all())
+    errors = bool(data["brdf_standard_error"].sel(order="all").notnull().where(known, True).all())
     axes = {"theta_r": data["theta_o"].values, "wavelength_i": lobes.wavelengths}
     words: dict[str, NDArray[np.object_]] = {name: _words(map(decimal, axis)) for name, axis in axes.items()}
     if lobes.basis != "spectrum":

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 QUANTITIES = {
     "brdf": "cos-weighted bin average of the BRDF, all orders of scattering, no cosine",
-    "standard_error": "standard error of brdf: Monte-Carlo noise and, where there are several, realisations together",
+    "brdf_standard_error": "standard error of brdf: Monte Carlo and, where there are several, realisation noise",
 }
 COMMENTS = {
     "bins": (
@@ -87,7 +87,7 @@ def write(lobes: Lobes, path: Path, colour: bool = False, layout: Literal["bins"
 
 def _part(lobes: Lobes, incidence: xr.Dataset, variable: str) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
     """Header and channels of one incidence's image of `variable`."""
-    suffix = "" if variable == "brdf" else f"_{variable}"
+    suffix = variable.removeprefix("brdf")
     header = _header(incidence, suffix, "bins", _description(lobes, incidence, variable))
     image = _centred(incidence[variable].sel(order="all")).transpose("wavelength", "theta_o", "dphi")
     return header, dict(zip(_channels(lobes), np.ascontiguousarray(image.values, np.float32), strict=True))
@@ -258,7 +258,7 @@ def _bins(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> Lobes:
     for each, pixels in images:
         at = np.searchsorted(theta_i, each["theta_i"]), np.searchsorted(phi_i, each["phi_i"])
         tables[each["quantity"]][at] = np.roll(pixels, -(detector.shape[1] // 2), axis=1)
-    brdf, errors = (tables[QUANTITIES[name]] for name in ("brdf", "standard_error"))
+    brdf, errors = (tables[QUANTITIES[name]] for name in ("brdf", "brdf_standard_error"))
     measurement = tabulated(
         brdf, detector, theta_i, phi_i, about["wavelengths"],
         standard_error=errors, attributes=_attributes(path, about),

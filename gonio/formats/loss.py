@@ -42,7 +42,7 @@ class Loss:
         places = list(measurement.incidences())
         lamps = [direction(theta, phi) for theta, phi in places]
         ours, theirs = (np.stack([lobes.average(wi, source.detector) for wi in lamps]) for lobes in (source, copy))
-        errors = measurement.dataset["standard_error"].sel(order="all")
+        errors = measurement.dataset["brdf_standard_error"].sel(order="all")
         error = np.stack([errors.sel(theta_i=theta, phi_i=phi).values for theta, phi in places]).reshape(ours.shape)
         area = source.detector.projected_solid_angles()[:, None]
 

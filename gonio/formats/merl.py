@@ -65,7 +65,7 @@ def write(lobes: Lobes, path: Path, sample: Sample = "centre") -> Sequence[str]:
     if not lobes.isotropic:
         raise ValueError(
             "MERL holds isotropic BRDFs only, and this one depends on the azimuth of the light: measure with azimuth = "
-            '"average", or call declared_isotropic() (--isotropic) if the specimen looks the same from every azimuth'
+            '"average", or call as_isotropic() (--isotropic) if the specimen looks the same from every azimuth'
         )
     lobes = lobes.in_basis("RGB")
     place = 0.5 if sample == "centre" else 0.0

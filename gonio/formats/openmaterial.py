@@ -144,7 +144,7 @@ def _notes(lobes: Lobes, measurement: Measurement, values: Floats) -> Sequence[s
         notes.append(f"colours stand at nominal wavelengths: {', '.join(f'{name} at {nm:g} nm' for name, nm in named)}")
     if not lobes.isotropic:
         notes.append(f"the table is isotropic: it holds the mean over {len(lobes.phi_i)} azimuths of the light")
-    if measurement.dataset["standard_error"].notnull().any():
+    if measurement.dataset["brdf_standard_error"].notnull().any():
         notes.append("the format has no place for standard errors")
     return notes
 

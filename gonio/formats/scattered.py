@@ -225,7 +225,7 @@ def incidences(measurement: Measurement) -> Iterator[tuple[float, float, Floats,
     data = measurement.dataset.sel(order="all")
     for i, j in np.argwhere(measurement.measured):
         theta, phi = (float(data[name][k]) for name, k in (("theta_i", i), ("phi_i", j)))
-        yield theta, phi, *(data[name].values[i, j] for name in ("brdf", "standard_error"))
+        yield theta, phi, *(data[name].values[i, j] for name in ("brdf", "brdf_standard_error"))
 
 
 def detector_of(named: Any) -> HemisphereGrid | None:
@@ -405,7 +405,7 @@ class _Interpolant:
         theta, phi = angles(wi)
         wh = half_vector(wi, wo)
         total = np.zeros((2, len(theta), self.channels))
-        for row, at, weight in _sides(*bracket(self.theta_i, theta, "theta_i", True)):
+        for row, at, weight in _sides(*bracket(self.theta_i, theta, "theta_i", "nearest")):
             for column, within, share in _sides(*self._columns(row, phi[at])):
                 here = at[within]
                 values = self._read(row, column, phi[here], wh[here], wo[here])
@@ -413,7 +413,7 @@ class _Interpolant:
         return np.where(wo[:, 2:] > 0, _mean(total), 0.0)
 
     def _columns(self, row: int, phi: Floats) -> tuple[tuple[Index, Index], Floats]:
-        return bracket_around(self.phi_i[row], phi, True)
+        return bracket_around(self.phi_i[row], phi, "nearest")
 
     def _read(self, row: int, column: int, phi: Floats, wh: Vectors, wo: Vectors) -> Floats:
         """What this incidence says of light from `phi`, where it would mirror about the same half vectors."""

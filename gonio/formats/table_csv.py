@@ -8,8 +8,8 @@ the measurement as JSON on the line `# gonio.json`), the names of the columns, t
     dphi                phi_o - phi_i: 0 on the lamp's side, 180 on the mirror's
     wavelength          nm; a nominal one where channels are colours (`basis` in the JSON says so)
     brdf                average over the bin, 1/sr, all orders of scattering, no cosine; empty where nothing is known
-    standard_error      of brdf, 1/sr; the column is missing if no error is known
-    hits                paths that arrived in the bin; the column is missing if they were not counted
+    brdf_standard_error 1/sr; the column is missing if no error is known
+    count               paths that arrived in the bin; the column is missing if they were not counted
 
 Azimuths run counter-clockwise seen from above, from the x axis. Angles belong to the centres of the bins. Numbers are
 the shortest decimals that read back as the same double: nothing is lost. `pandas.read_csv(path, comment="#")` reads it;
@@ -17,7 +17,7 @@ Excel shows the first 1 048 576 rows only.
 
 **Read.** Any order of columns and rows, any further columns, commas, or semicolons with decimal commas, or tabs.
 Without phi_i the light comes from azimuth 0; either of dphi and phi_o is enough; without wavelength there is a single
-channel; standard_error may be missing. Angles need not form a grid: see `gonio.formats.table`.
+channel; brdf_standard_error may be missing. Angles need not form a grid: see `gonio.formats.scattered`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from gonio.brdf import Floats, Lobes
 from gonio.formats.scattered import Table, decimal, detector_of, frame, incidences, title_of
 from microsurfaces.atomic_write import atomic_write
 
-COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "dphi", "wavelength", "brdf", "standard_error")
+COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "dphi", "wavelength", "brdf", "brdf_standard_error")
 """What is read; all but theta_i, theta_o, brdf and one of phi_o and dphi may be missing."""
 
 COMMENTS = (
@@ -54,15 +54,15 @@ LONGEST_HEADER = 1 << 24
 
 
 def write(lobes: Lobes, path: Path) -> Sequence[str]:
-    """Write every bin of every measured incidence, with its standard error and hits where they are known.
+    """Write every bin of every measured incidence, with its standard error and count where they are known.
 
     Raises OSError where the file cannot be written.
     """
     measurement = lobes.measured()
     data = measurement.dataset.sel(order="all")
-    hits = data["hits"].values if "hits" in data else None
-    known = bool(data["standard_error"].notnull().any())
-    names = [*COLUMNS[:7], *COLUMNS[7:][: int(known)], *(["hits"] if hits is not None else [])]
+    count = data["count"].values if "count" in data else None
+    known = bool(data["brdf_standard_error"].notnull().any())
+    names = [*COLUMNS[:7], *COLUMNS[7:][: int(known)], *(["count"] if count is not None else [])]
     rows = 0
     with atomic_write(path) as scratch, scratch.open("w", encoding="utf-8", newline="\n") as file:
         file.write("".join(f"# {line}\n" for line in _comments(lobes)) + ",".join(names) + "\n")
@@ -72,8 +72,8 @@ def write(lobes: Lobes, path: Path) -> Sequence[str]:
             columns = [_places(theta, phi, data, lobes.wavelengths), _texts(brdf)]
             if known:
                 columns.append(_texts(errors))
-            if hits is not None:
-                columns.append(np.repeat(hits[i, j], len(lobes.wavelengths)).astype(str).tolist())
+            if count is not None:
+                columns.append(np.repeat(count[i, j], len(lobes.wavelengths)).astype(str).tolist())
             file.write("\n".join(map(",".join, zip(*columns, strict=True))) + "\n")
             rows += brdf.size
     if rows >= EXCEL_ROWS:
@@ -161,7 +161,7 @@ def _table(columns: Mapping[str, Floats], about: Mapping[str, Any], name: str) -
         dphi,
         columns.get("wavelength", np.full_like(theta_o, 555.0)),
         brdf,
-        columns.get("standard_error"),
+        columns.get("brdf_standard_error"),
         isotropic=_flag(about.get("isotropic")),
         detector=detector_of(about.get("detector")),
         attributes=_attributes(about, name),

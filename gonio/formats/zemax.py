@@ -84,15 +84,15 @@ class _Table:
         theta, phi = angles(wi)
         radial, azimuth = angles(np.einsum("nij,nj->ni", _frame(theta, phi), wo))
         around = (
-            bracket(self.azimuth, np.minimum(azimuth, 360 - azimuth), "azimuth", True)
+            bracket(self.azimuth, np.minimum(azimuth, 360 - azimuth), "azimuth", "nearest")
             if self.symmetric
-            else bracket_around(self.azimuth, azimuth, True)
+            else bracket_around(self.azimuth, azimuth, "nearest")
         )
         corners = (
-            bracket_around(self.rotation, phi, True),
-            bracket(self.incidence, theta, "theta_i", True),
+            bracket_around(self.rotation, phi, "nearest"),
+            bracket(self.incidence, theta, "theta_i", "nearest"),
             around,
-            bracket(self.radial, radial, "radial", True),
+            bracket(self.radial, radial, "radial", "nearest"),
         )
         value = np.zeros((len(theta), self.values.shape[-1]))
         for corner in itertools.product((0, 1), repeat=4):
@@ -240,7 +240,7 @@ def _noise(lobes: Lobes) -> float:
     bins = ("theta_o", "dphi")
     area = data["projected_solid_angle"]
     # Half the mean absolute difference of two normal variates.
-    spread = (data["standard_error"] * area).sum(bins) / np.sqrt(np.pi)
+    spread = (data["brdf_standard_error"] * area).sum(bins) / np.sqrt(np.pi)
     return float((spread / (data["brdf"] * area).sum(bins)).fillna(0.0).max())
 
 

@@ -27,16 +27,18 @@ from gonio.plots.style import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from gonio.comparison import Verdict
+    from gonio.comparison import Comparison
     from gonio.measurement import Measurement
 
 
-def difference(measurement: Measurement, verdict: Verdict, path: PathLike, wavelength: float | None = None) -> Path:
+def difference(
+    measurement: Measurement, comparison: Comparison, path: PathLike, wavelength: float | None = None
+) -> Path:
     """Draw where a model is above or below what was measured, and below it how sure that is; return the path.
 
     Laid out as `hemisphere`. Above, model / measured - 1 in percent; below, model - measured in standard errors of the
     pool of bins that is judged together: up to 3 may be chance. Red is too much, blue too little; bins that no light
-    reached are hatched. `verdict` is what `compare` found for `measurement`; without errors there is nothing below.
+    reached are hatched. `comparison` is what `compare` found for `measurement`; without errors there is nothing below.
     """
     from matplotlib.colors import Normalize
 
@@ -45,7 +47,7 @@ def difference(measurement: Measurement, verdict: Verdict, path: PathLike, wavel
     figure, panels = new_maps(2 if has_errors(measurement) else 1, len(incidences))
     norms = Normalize(-PERCENT, PERCENT, clip=True), Normalize(-SIGMAS, SIGMAS, clip=True)
     for column, incidence in zip(panels.T, incidences, strict=True):
-        here = verdict.lobes.sel(theta_i=incidence.theta, phi_i=incidence.phi, wavelength=nm)
+        here = comparison.lobes.sel(theta_i=incidence.theta, phi_i=incidence.phi, wavelength=nm)
         measured, model = here["measured"].values, here["model"].values
         there = measured > 0
         relative = 100 * (model / np.where(there, measured, np.nan) - 1)
@@ -58,10 +60,10 @@ def difference(measurement: Measurement, verdict: Verdict, path: PathLike, wavel
     for row, norm, what in zip(panels, norms, words, strict=False):
         colour_bar(figure, row, norm, what, DIFFERENCES)
     counted = counts(measurement.dataset)
-    order = f", {hits(verdict.order)}" if counted else ""
+    order = f", {hits(comparison.order)}" if counted else ""
     blank = "hatched: no hits" if counted else "hatched: nothing is known, or no light"
     headline(
-        figure, measurement, type(verdict.model).__name__, f"{channel_words(measurement, nm)}{order}", blank, choice
+        figure, measurement, type(comparison.model).__name__, f"{channel_words(measurement, nm)}{order}", blank, choice
     )
     figure.legend(handles=map_legend(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
     return style.save(figure, path)

@@ -119,9 +119,9 @@ class _Map:
     @classmethod
     def of(cls, data: xr.Dataset, nm: float) -> _Map:
         chosen = data.sel(order="all", wavelength=nm)
-        brdf, error = (chosen[name].values for name in ("brdf", "standard_error"))
+        brdf, error = (chosen[name].values for name in ("brdf", "brdf_standard_error"))
         value = np.where(brdf > 0, brdf, np.nan)
-        sure = chosen["hits"].values >= SPARSE if counts(data) else True
+        sure = chosen["count"].values >= SPARSE if counts(data) else True
         return cls(value, np.where(sure, 100 * error / value, np.nan))
 
 

@@ -112,7 +112,9 @@ class Cut:
     def read(self, data: xr.Dataset, order: str, nm: float) -> tuple[Array, Array]:
         """Averages (n,) and their standard errors."""
         chosen = data.sel(order=order, wavelength=nm)
-        value, whole, mc = (chosen[name].values.ravel() for name in ("brdf", "standard_error", "standard_error_mc"))
+        value, whole, mc = (
+            chosen[name].values.ravel() for name in ("brdf", "brdf_standard_error", "brdf_standard_error_mc")
+        )
         realisation = np.sqrt(np.maximum(whole**2 - mc**2, 0.0))
         known = np.isfinite(value)
         weights = self.weights if known.all() else self._among(known)
@@ -133,7 +135,7 @@ class Cut:
         """Whether each average (n,) rests on `SPARSE` hits at least; all do where nobody counted."""
         if not counts(data):
             return np.ones(len(self.angle), bool)
-        return np.asarray(self.weights.sign() @ data["hits"].sel(order=order).values.ravel() >= SPARSE)
+        return np.asarray(self.weights.sign() @ data["count"].sel(order=order).values.ravel() >= SPARSE)
 
 
 def _sectors_in_plane(incidence: Incidence, _: Detector) -> Iterator[tuple[float, NDArray[np.intp]]]:

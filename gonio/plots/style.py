@@ -123,12 +123,12 @@ def channel_words(measurement: Measurement, nm: float) -> str:
 
 def counts(data: xr.Dataset) -> bool:
     """Whether hits were counted; they are not in a measurement that comes from elsewhere."""
-    return "hits" in data
+    return "count" in data
 
 
 def has_errors(measurement: Measurement) -> bool:
     """Whether any standard error is known."""
-    return bool(np.isfinite(measurement.dataset["standard_error"].values).any())
+    return bool(np.isfinite(measurement.dataset["brdf_standard_error"].values).any())
 
 
 def has_hemisphere(measurement: Measurement) -> bool:

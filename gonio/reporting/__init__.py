@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element
 
 from gonio import __version__, plots, tables
-from gonio.comparison import Verdict, compare
+from gonio.comparison import Comparison, compare
 from gonio.fitting import rank
 from gonio.optics import Conductor, Dielectric, citation
 from gonio.reporting.explore import explored
@@ -42,39 +42,39 @@ POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inli
 def report(
     measurement: Measurement,
     path: str | Path,
-    models: Sequence[Model | Verdict] = (),
+    models: Sequence[Model | Comparison] = (),
     fits: Sequence[Fit] = (),
     command: str = "",
     pictures: Iterable[Path] = (),
 ) -> Path:
     """Write a measurement, its comparison with `models` and the `fits` as one HTML page, and return its path.
 
-    What exists already is not made again: a model that was compared may stand there as its verdict, and `pictures` are
-    files called lobes.png, slices.png, hemisphere.png, albedo.png, difference.png or fits.png, which go into the page
-    as they are. `command` is what made the page, for those who want to make it again. What a measurement does not have
-    (one from elsewhere keeps no orders, apertures have no lobes) is left out with a sentence. Raises ValueError if
+    What exists already is not made again: a model that was compared may stand there as its comparison, and `pictures`
+    are files called lobes.png, slices.png, hemisphere.png, albedo.png, difference.png or fits.png, which go into the
+    page as they are. `command` is what made the page, for those who want to make it again. What a measurement does not
+    have (one from elsewhere keeps no orders, apertures have no lobes) is left out with a sentence. Raises ValueError if
     nothing was measured, and if plotly is not installed.
     """
     path = Path(path)
     library = script(_plotly(), id="plotly", type="text/plain")
     if not measurement.measured.any():
         raise ValueError("no incidence of this measurement was measured: nothing to report")
-    verdicts, complaints = _verdicts(measurement, models)
+    comparisons, complaints = _compared(measurement, models)
     certificate = _certificate(measurement)
-    shown = [model.model if isinstance(model, Verdict) else model for model in models]
+    shown = [model.model if isinstance(model, Comparison) else model for model in models]
     picture = functools.partial(_picture, {drawn.stem: drawn for drawn in pictures})
     sections = (
-        _section("Summary", *paragraphs(*summary(measurement, verdicts, certificate))),
+        _section("Summary", *paragraphs(*summary(measurement, comparisons, certificate))),
         _explore(measurement),
-        _section("Pictures", *_pictures(measurement, shown, best(verdicts), picture)),
+        _section("Pictures", *_pictures(measurement, shown, best(comparisons), picture)),
         _section("Albedo and energy", *_energy(measurement)),
-        _section("Models", *_comparison(verdicts, complaints)),
+        _section("Models", *_comparison(comparisons, complaints)),
         *([_section("Fits", *_fitted(measurement, fits, picture))] if fits else []),
         _section("Self-checks", *_checks(certificate)),
         _section("The experiment", *_experiment(measurement)),
         _section("Where it comes from", *_provenance(measurement, shown, command)),
     )
-    content = data("data", explored(measurement, verdicts))
+    content = data("data", explored(measurement, comparisons))
     text = page(_document(_title(measurement), sections, [library, content, script(_part("explore.js"))]))
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -176,7 +176,7 @@ Picture = Callable[[str, Callable[[Path], Path], str], Element]
 
 
 def _pictures(
-    measurement: Measurement, models: Sequence[Model], chosen: Verdict | None, picture: Picture
+    measurement: Measurement, models: Sequence[Model], chosen: Comparison | None, picture: Picture
 ) -> list[Element]:
     """The figures of `plots`; a sentence in place of one that this measurement does not allow."""
     draw: dict[str, tuple[Callable[[Path], Path], str]] = {
@@ -240,34 +240,34 @@ def _energy(measurement: Measurement) -> list[Element]:
     return [*parts, table(orders, "Orders of scattering in the reflected light, and what did not come back")]
 
 
-def _verdicts(measurement: Measurement, models: Sequence[Model | Verdict]) -> tuple[list[Verdict], list[str]]:
+def _compared(measurement: Measurement, models: Sequence[Model | Comparison]) -> tuple[list[Comparison], list[str]]:
     """How each model compares, and a sentence for each that cannot be compared."""
-    verdicts, complaints = [], []
+    comparisons, complaints = [], []
     for model in models:
-        if isinstance(model, Verdict):
-            verdicts.append(model)
+        if isinstance(model, Comparison):
+            comparisons.append(model)
             continue
         try:
-            verdicts.append(compare(measurement, model))
+            comparisons.append(compare(measurement, model))
         except ValueError as error:
             complaints.append(f"{tables.name_of(model)} was not compared: {error}")
-    return verdicts, complaints
+    return comparisons, complaints
 
 
-def _comparison(verdicts: Sequence[Verdict], complaints: Sequence[str]) -> list[Element]:
+def _comparison(comparisons: Sequence[Comparison], complaints: Sequence[str]) -> list[Element]:
     """The models side by side, then each of them, then the bins in which the best one fails."""
-    chosen = best(verdicts)
+    chosen = best(comparisons)
     if chosen is None:
         return paragraphs("No model was compared." if not complaints else "", *complaints)
-    parts = paragraphs(*dict.fromkeys(line for verdict in verdicts for line in verdict.preamble()))
-    if len(verdicts) > 1:
-        parts.append(table(tables.ranking(verdicts), "All models, the best lobe first"))
-    for verdict in verdicts:
-        name = tables.name_of(verdict.model)
+    parts = paragraphs(*dict.fromkeys(line for comparison in comparisons for line in comparison.preamble()))
+    if len(comparisons) > 1:
+        parts.append(table(tables.ranking(comparisons), "All models, the best lobe first"))
+    for comparison in comparisons:
+        name = tables.name_of(comparison.model)
         parts += [
             tag("h3", name),
-            tag("p", f"Verdict: {verdict.conclusion()}"),
-            table(tables.verdict(verdict), f"{name} against {tables.light(verdict.order)}"),
+            tag("p", f"Comparison: {comparison.conclusion()}"),
+            table(tables.comparison(comparison), f"{name} against {tables.light(comparison.order)}"),
         ]
     worst = tables.worst_bins(chosen)
     if worst is not None:

@@ -32,7 +32,7 @@ from gonio.reporting.words import GREEN
 if TYPE_CHECKING:
     import xarray as xr
 
-    from gonio.comparison import Verdict
+    from gonio.comparison import Comparison
     from gonio.measurement import Measurement
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ DIGITS = 4
 """Significant digits."""
 
 
-def explored(measurement: Measurement, verdicts: Sequence[Verdict]) -> dict[str, Any]:
+def explored(measurement: Measurement, comparisons: Sequence[Comparison]) -> dict[str, Any]:
     """Lobes and slices by incidence, order and channel, and the models' slices, as JSON has them.
 
     `lobes` are BRDF times cosine (1/sr) at the vertices, averaged over patches of about 3 degrees, or None where there
@@ -69,7 +69,7 @@ def explored(measurement: Measurement, verdicts: Sequence[Verdict]) -> dict[str,
         "lobes": _lobes(measurement, incidences, orders, wavelengths, lobes <= FINE_LOBES),
         "slices": [_slice(*pair, orders, wavelengths) for pair in zip(incidences, cuts, strict=True)],
         "curves": isinstance(measurement.detector, HemisphereGrid),
-        "models": [_model(verdict, incidences, cuts, wavelengths) for verdict in verdicts],
+        "models": [_model(comparison, incidences, cuts, wavelengths) for comparison in comparisons],
         "decades": DECADES,
         "camera": _rounded(CAMERA),
         "colours": {"lamp": LAMP, "mirror": MIRROR, "ink": INK, "paper": PAPER, "models": FITTED},
@@ -137,12 +137,12 @@ def _slice(incidence: Incidence, cut: Cut, orders: list[str], wavelengths: list[
 
 
 def _model(
-    verdict: Verdict, incidences: Sequence[Incidence], cuts: Sequence[Cut], wavelengths: list[float]
+    comparison: Comparison, incidences: Sequence[Incidence], cuts: Sequence[Cut], wavelengths: list[float]
 ) -> dict[str, Any]:
     """A model's slices by incidence and channel, averaged over the same bins."""
     values = []
     for incidence, cut in zip(incidences, cuts, strict=True):
-        lobe = verdict.lobes["model"].sel(theta_i=incidence.theta, phi_i=incidence.phi, wavelength=wavelengths)
+        lobe = comparison.lobes["model"].sel(theta_i=incidence.theta, phi_i=incidence.phi, wavelength=wavelengths)
         flat = lobe.transpose(..., "wavelength").values.reshape(-1, len(wavelengths))
         values.append([_rounded(curve) for curve in (cut.weights @ flat).T])
-    return {"name": tables.name_of(verdict.model), "order": verdict.order, "values": values}
+    return {"name": tables.name_of(comparison.model), "order": comparison.order, "values": values}

@@ -12,7 +12,7 @@ from gonio.detectors import Klems
 from gonio.optics import Conductor, Dielectric, tabulated_materials
 
 if TYPE_CHECKING:
-    from gonio.comparison import Verdict
+    from gonio.comparison import Comparison
     from gonio.measurement import Measurement
     from gonio.self_check import Certificate
 
@@ -23,20 +23,20 @@ NEGLIGIBLE = 5e-4
 """A relative difference of albedos that is not worth a word where no errors are known."""
 
 
-def summary(measurement: Measurement, verdicts: Sequence[Verdict], certificate: Certificate | None) -> list[str]:
+def summary(measurement: Measurement, comparisons: Sequence[Comparison], certificate: Certificate | None) -> list[str]:
     """Paragraphs: what was measured, what it reflects, how the models do, what the self-checks and the errors say."""
     return [
         _subject(measurement),
         " ".join((_albedo(measurement), _multiple(measurement))).strip(),
-        " ".join(_models(verdicts)),
+        " ".join(_models(comparisons)),
         _checks(certificate),
         errors(measurement),
     ]
 
 
-def best(verdicts: Sequence[Verdict]) -> Verdict | None:
+def best(comparisons: Sequence[Comparison]) -> Comparison | None:
     """The one whose lobe differs least, the mean of L1 over incidences and wavelengths; None of none."""
-    return min(verdicts, key=lambda verdict: float(verdict.table["l1"].mean()), default=None)
+    return min(comparisons, key=lambda comparison: float(comparison.table["l1"].mean()), default=None)
 
 
 def _percent(share: float) -> str:
@@ -97,7 +97,7 @@ def _substance(measurement: Measurement) -> str:
 
 def errors(measurement: Measurement) -> str:
     """What kind of errors go with the numbers."""
-    if not np.isfinite(measurement.dataset["standard_error"].values).any():
+    if not np.isfinite(measurement.dataset["brdf_standard_error"].values).any():
         return "Errors are not known: the file gives none, so nobody can say what noise explains."
     if measurement.sums is None:
         return "Errors are those of the file, taken as independent from bin to bin."
@@ -162,36 +162,36 @@ def _multiple(measurement: Measurement) -> str:
 # --- How the models do ------------------------------------------------------------------------------------------------
 
 
-def _models(verdicts: Sequence[Verdict]) -> list[str]:
-    chosen = best(verdicts)
+def _models(comparisons: Sequence[Comparison]) -> list[str]:
+    chosen = best(comparisons)
     if chosen is None:
         return ["No model was compared."]
-    sentences = [] if len(verdicts) == 1 else [_first(chosen, len(verdicts))]
-    ordered = sorted(verdicts, key=lambda verdict: float(verdict.table["l1"].mean()))
-    for verdict in ordered:
-        known = verdict is chosen and len(verdicts) > 1
-        sentences.append(_of_albedo(verdict, "It" if known else tables.name_of(verdict.model)))
-        sentences += [_of_lobe(verdict)] if verdict is chosen else []
+    sentences = [] if len(comparisons) == 1 else [_first(chosen, len(comparisons))]
+    ordered = sorted(comparisons, key=lambda comparison: float(comparison.table["l1"].mean()))
+    for comparison in ordered:
+        known = comparison is chosen and len(comparisons) > 1
+        sentences.append(_of_albedo(comparison, "It" if known else tables.name_of(comparison.model)))
+        sentences += [_of_lobe(comparison)] if comparison is chosen else []
     return sentences
 
 
-def _first(verdict: Verdict, count: int) -> str:
-    l1, noise = (float(verdict.table[name].mean()) for name in ("l1", "l1_noise"))
+def _first(comparison: Comparison, count: int) -> str:
+    l1, noise = (float(comparison.table[name].mean()) for name in ("l1", "l1_noise"))
     alone = "" if np.isnan(noise) else f"; noise alone would give {_percent(noise)}"
     return (
-        f"Of {count} models, {tables.name_of(verdict.model)} comes closest: its lobes differ by {_percent(l1)} on "
+        f"Of {count} models, {tables.name_of(comparison.model)} comes closest: its lobes differ by {_percent(l1)} on "
         f"average (L1, the absolute difference over all directions{alone})."
     )
 
 
-def _of_albedo(verdict: Verdict, name: str) -> str:
+def _of_albedo(comparison: Comparison, name: str) -> str:
     """Where a model's albedo is furthest off, or that noise explains what it is off by."""
-    rows = [row for row in verdict.rows() if row["albedo_measured"] > 0.0]
-    light = "" if verdict.order == "all" else f" of {tables.light(verdict.order)}"
+    rows = [row for row in comparison.rows() if row["albedo_measured"] > 0.0]
+    light = "" if comparison.order == "all" else f" of {tables.light(comparison.order)}"
     if not rows:
         return f"{name} predicts an albedo where nothing comes back."
-    unknown = verdict.scope == "elsewhere" and all(row["lobe"] == "unknown" for row in rows)
-    off = [row for row in rows if row["albedo_differs"] or (unknown and abs(row["albedo_bias"]) > NEGLIGIBLE)]
+    unknown = comparison.scope == "external" and all(row["lobe"] == "unknown" for row in rows)
+    off = [row for row in rows if row["albedo_significant"] or (unknown and abs(row["albedo_bias"]) > NEGLIGIBLE)]
     worst = max(off or rows, key=lambda row: abs(row["albedo_bias"]))
     if not off:
         most = _percent(abs(worst["albedo_bias"]))
@@ -201,16 +201,18 @@ def _of_albedo(verdict: Verdict, name: str) -> str:
     return f"{name} {verb} the directional albedo{light} by {_percent(abs(worst['albedo_bias']))} at {_where(worst)}."
 
 
-def _of_lobe(verdict: Verdict) -> str:
+def _of_lobe(comparison: Comparison) -> str:
     """Where the lobe of the best model fails."""
-    rows = verdict.rows()
+    rows = comparison.rows()
     noise = [0.0 if np.isnan(row["l1_noise"]) else float(row["l1_noise"]) for row in rows]
     k = max(range(len(rows)), key=lambda k: rows[k]["l1"] - noise[k])
     worst, alone = rows[k], f", noise alone would give {_percent(noise[k])}" if noise[k] else ""
-    judged = {"noise": "which noise explains", "unclear": "which noise may explain"}.get(str(worst["lobe"]), "")
+    judged = {"consistent": "which noise explains", "inconclusive": "which noise may explain"}.get(
+        str(worst["lobe"]), ""
+    )
     sentence = f"Its lobe differs most at {_where(worst)}: by {_percent(worst['l1'])} (L1{alone})"
     sentence += f", {judged}" if judged else ""
-    bins = verdict.worst_bins(1)
+    bins = comparison.worst_bins(1)
     if not bins or judged or not bins[0]["measured"]:
         return f"{sentence}."
     place = ", ".join(f"{name} {bins[0][name]:g}°" for name in ("theta_o", "dphi") if name in bins[0])
@@ -222,7 +224,7 @@ def _of_lobe(verdict: Verdict) -> str:
 
 
 def _where(row: dict[str, Any]) -> str:
-    """Incidence and channel of a verdict's row."""
+    """Incidence and channel of a comparison's row."""
     azimuth = f", phi_i {row['phi_i']:g}°" if row["several"]["phi_i"] else ""
     channel = str(row["channel"])
     return f"{row['theta_i']:g}°{azimuth}, {channel if channel.endswith(' nm') else f'channel {channel}'}"

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from gonio.comparison import ENOUGH_HITS
 from gonio.detectors import Apertures, HemisphereGrid, Klems
-from gonio.measurement import FATES, Measurement
+from gonio.measurement import ENERGY_BUDGET, Measurement
 from gonio.netcdf import load
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror, fresnel_conductor
 from gonio.tally import UNIT, UInt128
@@ -198,7 +198,7 @@ class _Sums(NamedTuple):
         at = np.nonzero(sums["paths"].values)
         if not at[0].size:
             raise ValueError("The measurement holds no measured incidence to check: run it again to the end.")
-        names = ("weight", "hits", "ledger", "paths", "realisations")
+        names = ("weight", "count", "energy_budget", "paths", "realisations")
         weight, hits, ledger, paths, realisations = (sums[name].values[at] for name in names)
         high, low = (sums[f"realisation_squares_{half}"].values[at] for half in ("high", "low"))
         return cls(
@@ -208,7 +208,7 @@ class _Sums(NamedTuple):
             weight,
             hits,
             UInt128(high, low),
-            {fate: ledger[:, k] for k, fate in enumerate(FATES)},
+            {fate: ledger[:, k] for k, fate in enumerate(ENERGY_BUDGET)},
             paths,
             realisations,
             sums["paths"].size,
@@ -250,7 +250,7 @@ def _ledger(sums: _Sums) -> Check:
     """launched = escaped + absorbed + truncated + lost, and each is what it is said to be: exact."""
     fates = sums.fates
     residues = (
-        fates["launched"] - sum(fates[name] for name in FATES[1:]),
+        fates["launched"] - sum(fates[name] for name in ENERGY_BUDGET[1:]),
         fates["launched"] - sums.paths[:, None] * UNIT,
         fates["escaped"] - sums.reflected[:, 0],
         np.minimum(0, np.min(list(fates.values()), axis=0)),
@@ -426,7 +426,8 @@ class _Seen(NamedTuple):
         """The apertures at these places."""
         row, column, aperture = np.array(places).T
         value, error, hits = (
-            data[name].sel(order="all").values[row, column, aperture] for name in ("brdf", "standard_error_mc", "hits")
+            data[name].sel(order="all").values[row, column, aperture]
+            for name in ("brdf", "brdf_standard_error_mc", "count")
         )
         freedom = data["degrees_of_freedom_mc"].values[row, column].astype(np.float64)
         return cls(value, error, value / hits[:, None], freedom[:, None])
@@ -473,7 +474,7 @@ def _arrangement(lit: tuple[float, float], seen: tuple[float, float], average: b
 
 def _comparable(pair: tuple[Place, Place], data: xr.Dataset) -> bool:
     """Whether the same specimens were measured both ways, with enough hits."""
-    hits, realisations = data["hits"].sel(order="all").values, data["realisations"].values
+    hits, realisations = data["count"].sel(order="all").values, data["realisations"].values
     (*there, _), (*back, _) = pair
     return bool(
         realisations[tuple(there)] == realisations[tuple(back)] and min(hits[place] for place in pair) >= ENOUGH_HITS

@@ -69,7 +69,7 @@ GRID = HemisphereGrid(theta_step=5.0, phi_step=15.0)
 
 SOLID = GRID.projected_solid_angles()
 
-Verdict = Literal["agrees", "rejected as it should be", "FAILS"]
+Outcome = Literal["agrees", "rejected as it should be", "FAILS"]
 Statistic = Literal["t", "chi2", "difference"]
 
 
@@ -92,7 +92,7 @@ class Row:
     statistic: Statistic
     score: float
     limit: float
-    verdict: Verdict
+    outcome: Outcome
 
 
 class _Finding(NamedTuple):
@@ -134,7 +134,7 @@ def run(quick: bool, names: Iterable[str] | None = None) -> tuple[Row, ...]:
 def markdown(rows: Iterable[Row]) -> str:
     """The rows as a Markdown document: a summary, and for every case what it tests and a table."""
     rows = tuple(rows)
-    failures = sum(row.verdict == "FAILS" for row in rows)
+    failures = sum(row.outcome == "FAILS" for row in rows)
     laws = {case.name: case.function.__doc__ or "" for case in CASES}
     lines = [
         "# Validation",
@@ -156,19 +156,19 @@ def markdown(rows: Iterable[Row]) -> str:
 def summary(rows: Iterable[Row]) -> str:
     """A Markdown table of one line a case: its sizes, and of its laws the number that comes closest to its limit."""
     lines = _head(
-        ("case", "numbers", "closest to its limit", "measured", "exact", "score", "limit", "verdict", "settings")
+        ("case", "numbers", "closest to its limit", "measured", "exact", "score", "limit", "outcome", "settings")
     )
     for name, group in itertools.groupby(rows, key=lambda row: row.case):
         members = tuple(group)
-        laws = [row for row in members if row.verdict == "agrees"] or list(members)
+        laws = [row for row in members if row.outcome == "agrees"] or list(members)
         closest = max(laws, key=lambda row: (row.score if row.statistic == "chi2" else abs(row.score)) / row.limit)
-        rejected = sum(row.verdict.startswith("rejected") for row in members)
-        failures = sum(row.verdict == "FAILS" for row in members)
-        verdict = f"**{failures} FAIL**" if failures else "agrees"
-        verdict += f", {rejected} wrong forms rejected" if rejected else ""
+        rejected = sum(row.outcome.startswith("rejected") for row in members)
+        failures = sum(row.outcome == "FAILS" for row in members)
+        outcome = f"**{failures} FAIL**" if failures else "agrees"
+        outcome += f", {rejected} wrong forms rejected" if rejected else ""
         quantity, measured, error, exact, score, limit, _, settings = _cells(closest)
         measured += f" ± {error}" if error else ""
-        lines.append(_line((name, str(len(members)), quantity, measured, exact, score, limit, verdict, settings)))
+        lines.append(_line((name, str(len(members)), quantity, measured, exact, score, limit, outcome, settings)))
     return "\n".join(lines) + "\n"
 
 
@@ -180,15 +180,15 @@ def _line(cells: tuple[str, ...]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-_COLUMNS = ("quantity", "measured", "error", "exact", "score", "limit", "verdict", "settings")
+_COLUMNS = ("quantity", "measured", "error", "exact", "score", "limit", "outcome", "settings")
 
 
 def _cells(row: Row) -> tuple[str, ...]:
     error = "" if math.isnan(row.error) else f"{row.error:.2g}"
-    verdict = f"**{row.verdict}**" if row.verdict == "FAILS" else row.verdict
+    outcome = f"**{row.outcome}**" if row.outcome == "FAILS" else row.outcome
     score = f"{row.statistic} {row.score:.3g}"
     return (
-        row.quantity, f"{row.measured:.6g}", error, f"{row.exact:.6g}", score, f"{row.limit:.3g}", verdict, row.settings
+        row.quantity, f"{row.measured:.6g}", error, f"{row.exact:.6g}", score, f"{row.limit:.3g}", outcome, row.settings
     )  # fmt: skip
 
 
@@ -208,9 +208,9 @@ def _judged(case: str, finding: _Finding, limit: float) -> Row:
         score = score / finding.error if finding.error else math.copysign(math.inf, score)
     # Less scatter than expected is no sign of a difference.
     within = score <= limit if finding.statistic == "chi2" else abs(score) <= limit
-    verdict: Verdict = "FAILS" if within != finding.holds else "agrees" if within else "rejected as it should be"
+    outcome: Outcome = "FAILS" if within != finding.holds else "agrees" if within else "rejected as it should be"
     numbers = (finding.measured, finding.error, finding.exact)
-    return Row(case, finding.quantity, finding.settings, *numbers, finding.statistic, score, limit, verdict)
+    return Row(case, finding.quantity, finding.settings, *numbers, finding.statistic, score, limit, outcome)
 
 
 def _t(quantity: str, settings: str, blocks: Array, exact: float, floor: float = LOST) -> _Finding:

@@ -26,7 +26,7 @@ import pytest
 import gonio
 import microsurfaces as ms
 from gonio.campaign import results, running, store, units
-from gonio.campaign.store import DamagedError, Folder, pack, unpack
+from gonio.campaign.store import CampaignStore, DamagedError, pack, unpack
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.cli import main
@@ -319,7 +319,7 @@ def test_a_large_measurement_is_cut_into_blocks_of_replicates(
         running.run(Campaign.of([experiment]), tmp_path / "c", shard=(part, 3))
     (file,) = results.merge(tmp_path / "c").files
     assert file.read_bytes() == gonio.save(experiment.run(), tmp_path / "direct.nc").read_bytes()
-    status = store.status(Folder(tmp_path / "c"))
+    status = store.status(CampaignStore(tmp_path / "c"))
     assert status.paths == status.paths_finished == sum(unit.paths for unit in whole.units[0])
 
 
@@ -353,7 +353,7 @@ def test_shards_are_a_partition_that_keeps_pilots_and_reliefs_together(shards: i
 def watch(path: Path, count: int, process: subprocess.Popen[str]) -> None:
     """Wait until so many units are finished."""
     end = time.monotonic() + 60
-    while len(Folder(path).finished()) < count and process.poll() is None:
+    while len(CampaignStore(path).finished()) < count and process.poll() is None:
         assert time.monotonic() < end
         time.sleep(0.002)
 
@@ -422,14 +422,14 @@ def test_ten_kills_lose_nothing_and_change_nothing(start: Start, toy: Campaign, 
     for workers in (1, 2, 2, 2):
         process = start(path, "--workers", str(workers))
         watch(path, len(kept) + 2, process)
-        crew = workers_of(process)
-        victims = [process.pid, *(crew if workers > 1 else ())]
+        workers = workers_of(process)
+        victims = [process.pid, *(workers if workers > 1 else ())]
         for pid in reversed(victims):
             os.kill(pid, signal.SIGKILL)
         killed += victims
         process.communicate()
         assert process.returncode == -signal.SIGKILL
-        assert_gone(crew)
+        assert_gone(workers)
         assert finished_since() >= 2
     assert len(killed) == 10
     assert len(kept) < UNITS
@@ -468,7 +468,7 @@ def test_ctrl_c_keeps_what_is_finished_and_leaves_no_worker(start: Start, tmp_pa
     assert "Traceback" not in err
     assert len(workers) == 1
     assert_gone(workers)
-    assert store.verify(Folder(path)) == (len(Folder(path).finished()), [])
+    assert store.verify(CampaignStore(path)) == (len(CampaignStore(path).finished()), [])
     assert not list((path / "claims").iterdir())
 
 
@@ -478,15 +478,15 @@ def test_a_unit_that_kills_its_workers_is_given_up_and_the_others_are_not(
     """The third unit's worker is killed each time: the run ends, with a sentence for that unit only."""
     monkeypatch.setattr(running, "DEATHS", 2)
     fatal = Plan.of(toy).shard(1, 1)[2]
-    assign = running._Crew._assign
+    assign = running._WorkerPool._assign
 
-    def treacherous(self: running._Crew, number: int) -> None:
+    def treacherous(self: running._WorkerPool, number: int) -> None:
         assign(self, number)
-        seat = self._seats[number]
-        if seat.unit == fatal:
-            seat.process.kill()
+        worker = self._workers[number]
+        if worker.unit == fatal:
+            worker.process.kill()
 
-    monkeypatch.setattr(running._Crew, "_assign", treacherous)
+    monkeypatch.setattr(running._WorkerPool, "_assign", treacherous)
     state = running.run(toy, tmp_path, workers=1)
     assert state.deaths == 2
     assert state.computed == UNITS - 1
@@ -566,7 +566,7 @@ def test_merge_finds_what_is_damaged(run: Gonio, copied: Path, finished: Path) -
     assert all(f"{name} is damaged" in err for name in harmed)
     assert "experiments lack units: run the campaign again." in err
     rows = index(copied)
-    hit = [any(name in entry["units"] for name in harmed) for entry in Folder(copied).manifest()["experiments"]]
+    hit = [any(name in entry["units"] for name in harmed) for entry in CampaignStore(copied).manifest()["experiments"]]
     assert [row["file"] == "" for row in rows] == hit
     assert run("run", "toy.toml", "-o", str(copied), "--quiet") == (0, "", "")
     assert_same(copied, finished)
@@ -579,7 +579,7 @@ def test_a_damaged_pilot_is_measured_again(tmp_path: Path) -> None:
     before = content(tmp_path)
     pilot, *_ = (unit.pilot for unit in Plan.of(campaign).units[0] if unit.pilot)
     follower = next(unit for unit in Plan.of(campaign).units[0] if unit.pilot == pilot)
-    home = Folder(tmp_path)
+    home = CampaignStore(tmp_path)
     (home.units / f"{pilot}.npz").write_bytes(b"nothing")
     (home.units / f"{follower.name}.npz").unlink()
     assert running.run(campaign, tmp_path).computed == 1
@@ -604,7 +604,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(
     assert err == (
         "c cannot be written (no space left on device): finished units are kept, the same command continues.\n"
     )
-    kept = len(Folder(Path("c")).finished())
+    kept = len(CampaignStore(Path("c")).finished())
     assert kept == 5  # file and folder are flushed for the manifest and for each unit; not the sixth, half there
     assert not list(Path("c").rglob("*.tmp"))
     code, out, _ = run("run", "toy.toml", "-o", "c")
@@ -627,7 +627,7 @@ def test_a_file_appears_whole_by_a_rename(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_what_another_run_claims_is_done_last_and_dead_runs_claim_nothing(toy: Campaign, tmp_path: Path) -> None:
     plan = Plan.of(toy)
-    home = Folder(tmp_path)
+    home = CampaignStore(tmp_path)
     home.create(plan.manifest())
     ordered = plan.shard(1, 1)
     claim = {"host": "elsewhere", "pid": 1, "run": ""}
@@ -646,7 +646,7 @@ def test_what_another_run_claims_is_done_last_and_dead_runs_claim_nothing(toy: C
 
 
 def test_what_killed_runs_left_half_written_is_removed_after_an_hour(toy: Campaign, tmp_path: Path) -> None:
-    home = Folder(tmp_path)
+    home = CampaignStore(tmp_path)
     home.create(Plan.of(toy).manifest())
     old, fresh = home.units / ".a.tmp", home.units / ".b.tmp"
     for path in (old, fresh):
@@ -659,8 +659,8 @@ def test_what_killed_runs_left_half_written_is_removed_after_an_hour(toy: Campai
 
 def test_workers_stay_with_their_relief_and_take_others_first(toy: Campaign, tmp_path: Path) -> None:
     plan = Plan.of(toy)
-    Folder(tmp_path).create(plan.manifest())
-    queue = running.Queue(plan.shard(1, 1), Folder(tmp_path))
+    CampaignStore(tmp_path).create(plan.manifest())
+    queue = running.Queue(plan.shard(1, 1), CampaignStore(tmp_path))
     first, second = queue.take(), queue.take(None, ())
     assert first
     assert second
@@ -676,8 +676,8 @@ def test_workers_stay_with_their_relief_and_take_others_first(toy: Campaign, tmp
 
 def test_no_specimen_is_begun_before_the_first_has_told_how_many_replicates_it_takes(tmp_path: Path) -> None:
     plan = Plan.of(Campaign.of([KINDS["a target"]]))
-    Folder(tmp_path).create(plan.manifest())
-    queue, out = running.Queue(plan.shard(1, 1), Folder(tmp_path)), list[units.Unit]()
+    CampaignStore(tmp_path).create(plan.manifest())
+    queue, out = running.Queue(plan.shard(1, 1), CampaignStore(tmp_path)), list[units.Unit]()
     while unit := queue.take():
         out.append(unit)
     assert [unit.realisation for unit in out] == [0] * 4
@@ -762,7 +762,7 @@ def test_another_version_is_refused(copied: Path, toy: Campaign) -> None:
 def test_a_damaged_manifest_is_written_anew(copied: Path, toy: Campaign, finished: Path) -> None:
     (copied / "manifest.json").write_text('{"title')
     with pytest.raises(InputError, match="is damaged: run the campaign again"):
-        store.status(Folder(copied))
+        store.status(CampaignStore(copied))
     assert running.run(toy, copied).computed == 0
     assert_same(copied, finished)
 
@@ -846,7 +846,7 @@ def test_a_surface_that_cannot_be_built_stops_no_other(run: Gonio) -> None:
     assert "experiment 2, realisation 1: surface: " in err
     assert "16 of 16 heights are NaN" in err
     assert err.endswith("6 of 12 units could not be computed; the others are kept.\n")
-    assert len(Folder(Path("c")).finished()) == 6
+    assert len(CampaignStore(Path("c")).finished()) == 6
 
 
 # --- Size ------------------------------------------------------------------------------------------------------------
@@ -855,7 +855,7 @@ def test_a_surface_that_cannot_be_built_stops_no_other(run: Gonio) -> None:
 def test_the_status_of_ten_thousand_units(tmp_path: Path) -> None:
     grids = replace(TINY, phi_i=tuple(np.arange(50.0)), theta_i=(0.0,))
     campaign = Campaign.of([Experiment(ROUGH, gonio.Mirror(), grids, seed=seed, realisations=10) for seed in range(20)])
-    plan, home = Plan.of(campaign), Folder(tmp_path)
+    plan, home = Plan.of(campaign), CampaignStore(tmp_path)
     home.create(plan.manifest())
     every = [unit.name for group in plan.units for unit in group]
     assert len(every) == 10_000
@@ -883,5 +883,5 @@ def test_the_campaigns_in_configs_run(path: Path, tmp_path: Path) -> None:
     campaign = Campaign.read(path, small)
     assert campaign.title
     assert not running.run(campaign, tmp_path).failures
-    status = store.status(Folder(tmp_path))
+    status = store.status(CampaignStore(tmp_path))
     assert status.experiments_finished == len(campaign.experiments) > 1

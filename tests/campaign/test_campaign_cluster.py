@@ -17,7 +17,7 @@ import pytest
 from test_campaign import BASE, KINDS, TOY, UNITS, assert_same
 
 from gonio.campaign import cluster, results, running
-from gonio.campaign.store import Folder
+from gonio.campaign.store import CampaignStore
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.cli import main
@@ -25,7 +25,7 @@ from gonio.toml_files import InputError
 
 WATCHED = """
 import os
-from gonio.campaign.units import Bench
+from gonio.campaign.units import UnitRunner
 
 def watched(measure):
     def logged(self, unit, *rest):
@@ -40,8 +40,8 @@ def watched(measure):
             raise Local("a fault of ours")
     return logged
 
-if Bench.measure.__name__ == "measure":  # this is loaded twice
-    Bench.measure = watched(Bench.measure)
+if UnitRunner.measure.__name__ == "measure":  # this is loaded twice
+    UnitRunner.measure = watched(UnitRunner.measure)
 """
 """Has a worker write down what it measures, and with how many threads."""
 
@@ -112,14 +112,14 @@ def wait(met: Callable[[], bool]) -> None:
 
 def together(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a run begin when so many workers are there."""
-    meet = cluster.Crew._meet
+    meet = cluster.WorkerPool._meet
 
-    def patient(self: cluster.Crew) -> None:
+    def patient(self: cluster.WorkerPool) -> None:
         wait(lambda: len(self._present()) >= count)
         meet(self)
-        monkeypatch.setattr(cluster.Crew, "_meet", meet)
+        monkeypatch.setattr(cluster.WorkerPool, "_meet", meet)
 
-    monkeypatch.setattr(cluster.Crew, "_meet", patient)
+    monkeypatch.setattr(cluster.WorkerPool, "_meet", patient)
 
 
 def test_a_cluster_gives_what_one_process_does(
@@ -159,7 +159,7 @@ def test_workers_with_other_versions_are_left_out(
     monkeypatch.setattr(cluster, "_all_versions", lambda versions: ours(versions) | {"numba": "0.1"})
     with pytest.raises(InputError, match=r"worker tcp://.* has other versions \(numba .* instead of 0\.1\)"):
         running.run(toy, tmp_path, scheduler=pair.address)
-    assert Folder(tmp_path).finished() == set()
+    assert CampaignStore(tmp_path).finished() == set()
 
 
 def test_ctrl_c_stops_the_units_under_way_and_keeps_what_is_finished(pair: Cluster, tmp_path: Path) -> None:
@@ -177,7 +177,7 @@ def test_ctrl_c_stops_the_units_under_way_and_keeps_what_is_finished(pair: Clust
     assert not list((tmp_path / "c/claims").iterdir())
     small = Campaign.of([KINDS["V-grooves"]])
     assert running.run(small, tmp_path / "next", scheduler=pair.address).failures == []
-    assert Folder(tmp_path / "c").finished() == set()
+    assert CampaignStore(tmp_path / "c").finished() == set()
 
 
 def test_a_unit_that_cannot_be_computed_stops_no_other(pair: Cluster, tmp_path: Path) -> None:
@@ -213,17 +213,17 @@ def test_a_worker_dies_another_one_comes_and_nothing_is_lost(
     When in the end the scheduler is killed, that is told and nothing is lost either.
     """
     (tmp_path / "cluster").mkdir()
-    third, give = Plan.of(toy).shard(1, 1)[2], cluster.Crew._give
+    third, give = Plan.of(toy).shard(1, 1)[2], cluster.WorkerPool._give
     with contextlib.closing(Cluster(tmp_path / "cluster")) as cluster_:
         victim = cluster_.worker()
 
-        def treacherous(self: cluster.Crew, number: int, work: object, *what: object) -> None:
+        def treacherous(self: cluster.WorkerPool, number: int, work: object, *what: object) -> None:
             give(self, number, work, *what)
             if what[0] == third and victim.poll() is None:
                 victim.kill()
                 cluster_.worker()
 
-        monkeypatch.setattr(cluster.Crew, "_give", treacherous)
+        monkeypatch.setattr(cluster.WorkerPool, "_give", treacherous)
         state = running.run(toy, tmp_path / "c", scheduler=cluster_.address)
         assert (state.deaths, state.computed, state.failures, state.workers) == (1, UNITS, [], 1)
         assert_same(tmp_path / "c", finished)
@@ -236,13 +236,13 @@ def test_a_worker_dies_another_one_comes_and_nothing_is_lost(
 
 def test_a_unit_whose_workers_die_is_given_up(toy: Campaign, tmp_path: Path) -> None:
     plan = Plan.of(toy)
-    Folder(tmp_path).create(plan.manifest())
-    queue = running.Queue(plan.shard(1, 1)[:1], Folder(tmp_path))
-    crew = cluster.Crew(None, toy.experiments, queue, lambda state: None, Folder(tmp_path))  # type: ignore[arg-type]
+    CampaignStore(tmp_path).create(plan.manifest())
+    queue = running.Queue(plan.shard(1, 1)[:1], CampaignStore(tmp_path))
+    workers = cluster.WorkerPool(None, toy.experiments, queue, lambda state: None, CampaignStore(tmp_path))  # type: ignore[arg-type]
     for number in range(running.DEATHS):
         assert queue.left
-        crew._seats[number] = cluster._Seat("tcp://x", 1, None, queue.take())
-        crew._lost(number)
+        workers._workers[number] = cluster._Worker("tcp://x", 1, None, queue.take())
+        workers._lost(number)
     assert not queue.left
     assert queue.state.deaths == running.DEATHS
     (sentence,) = queue.state.failures

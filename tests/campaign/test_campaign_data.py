@@ -23,7 +23,7 @@ import microsurfaces as ms
 from gonio.campaign import dataset, results, running
 from gonio.campaign.dataset import Layout, open_campaign
 from gonio.campaign.publication import About, publish
-from gonio.campaign.store import Folder
+from gonio.campaign.store import CampaignStore
 from gonio.campaign.sweep import Campaign
 from gonio.cli import main
 from gonio.experiment import Experiment
@@ -121,7 +121,7 @@ def test_any_part_is_that_of_the_whole(finished, key):
 
 
 def test_what_is_not_complete_is_nan_and_counts_nothing(copied):
-    unit = Folder(copied).manifest()["experiments"][1]["units"][0]
+    unit = CampaignStore(copied).manifest()["experiments"][1]["units"][0]
     (copied / "units" / f"{unit}.npz").unlink()
     for path in (copied / "measurements").glob("*.nc"):
         path.unlink()
@@ -314,7 +314,7 @@ def test_nothing_half_made_is_left(finished, copied, tmp_path, monkeypatch):
         patch.setattr("gonio.campaign.publication._checksums", full)
         with pytest.raises(OSError, match="no space left"):
             publish(finished, tmp_path / "full", ABOUT)
-    unit = Folder(copied).manifest()["experiments"][1]["units"][0]
+    unit = CampaignStore(copied).manifest()["experiments"][1]["units"][0]
     (copied / "units" / f"{unit}.npz").write_bytes(b"damaged")
     with pytest.raises(InputError, match="1 of 4 experiments lack units"):
         publish(copied, tmp_path / "damaged", ABOUT)

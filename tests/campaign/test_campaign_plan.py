@@ -16,7 +16,7 @@ from test_campaign import BASE, KINDS, TOY, Gonio, assert_same, run  # noqa: F40
 import gonio
 from gonio.campaign import planning, results, running
 from gonio.campaign.planning import Forecast, Sample, plan
-from gonio.campaign.store import Folder
+from gonio.campaign.store import CampaignStore
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.toml_files import InputError
@@ -78,7 +78,7 @@ def error_of(file: Path) -> float:
     for theta in found["theta_i"]:
         for wavelength in found["wavelength"]:
             here = found.sel(theta_i=theta, wavelength=wavelength)
-            value, error = here["brdf"].values, here["standard_error_mc"].values * np.sqrt(2)
+            value, error = here["brdf"].values, here["brdf_standard_error_mc"].values * np.sqrt(2)
             lit = value > 0
             relative, light = (error[lit] / value[lit]), (value * solid)[lit]
             order = np.argsort(relative)
@@ -122,7 +122,7 @@ def test_the_paths_of_a_target_are_told(kind: str, tmp_path: Path) -> None:
     campaign = Campaign.of([KINDS[kind]])
     forecast = plan(campaign, pilot=10**6)
     running.run(campaign, tmp_path)
-    home = Folder(tmp_path)
+    home = CampaignStore(tmp_path)
     units, replicates = Plan.of(campaign).units[0], campaign.experiments[0].goniometer.replicates
     taken = sum(unit.paths // replicates * int(home.read(unit.name)[1]["replicates"]) for unit in units)
     assert taken > 1.5 * forecast.paths
@@ -142,7 +142,7 @@ def test_targets_are_swept_and_the_same_for_shards_and_workers(tmp_path: Path) -
     running.run(campaign, tmp_path / "workers", workers=2)
     for name in ("shards", "workers"):
         assert_same(tmp_path / name, tmp_path / "one")
-    home = Folder(tmp_path / "one")
+    home = CampaignStore(tmp_path / "one")
     coarse, fine = (
         np.array([int(home.read(unit.name)[1]["replicates"]) for unit in group[:3]])
         for group in Plan.of(campaign).units
@@ -159,7 +159,7 @@ def test_targets_are_swept_and_the_same_for_shards_and_workers(tmp_path: Path) -
 
 def test_time_left_is_at_the_pace_of_the_last_hour(toy: Campaign, tmp_path: Path) -> None:
     """A unit every ten seconds until now, and three of yesterday: 40 s for the other 4."""
-    home, names = Folder(tmp_path), [unit.name for unit in Plan.of(toy).shard(1, 1)]
+    home, names = CampaignStore(tmp_path), [unit.name for unit in Plan.of(toy).shard(1, 1)]
     home.create(Plan.of(toy).manifest())
     assert running.seconds_left(home) is None
     now = time.time()

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 import xarray as xr
 from PIL import Image
-from synthetic import foreign
+from synthetic import external
 
 import gonio
 import microsurfaces as ms
-from gonio import validate
+from gonio import validation
 from gonio.cli import main
 from gonio.experiment import Experiment
 from gonio.goniometer import Goniometer
@@ -95,8 +95,8 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("tables")
     gold = gonio.models.CookTorrance(m=0.3, material=gonio.Conductor("Au"))
     colours = {"basis": "RGB", "title": "colours"}
-    gonio.save(foreign(gold, wavelengths=(611.4, 549.1, 464.2), attributes=colours), folder / "colours.nc")
-    gonio.save(foreign(gold, noise=0.03, wavelengths=(450.0, 650.0)), folder / "spectrum.nc")
+    gonio.save(external(gold, wavelengths=(611.4, 549.1, 464.2), attributes=colours), folder / "colours.nc")
+    gonio.save(external(gold, noise=0.03, wavelengths=(450.0, 650.0)), folder / "spectrum.nc")
     return folder
 
 
@@ -255,7 +255,7 @@ def test_compare_takes_settings_and_files_and_writes_numbers_and_maps(run: Gonio
     Path("two.toml").write_text(
         '[[model]]\nkind = "Microfacet"\nmasking = {kind = "VCavity"}\n[[model]]\nkind = "Microfacet"'
     )
-    tokens = ("--model", "cook-torrance m=0.5 k_d=0.1", "--model", "two.toml", "--all", "-o", "verdicts")
+    tokens = ("--model", "cook-torrance m=0.5 k_d=0.1", "--model", "two.toml", "--all", "-o", "comparisons")
     code, out, _ = run("compare", str(measured), *tokens)
     assert code == 0
     assert all(len(line) <= 80 for line in out.splitlines())
@@ -268,12 +268,16 @@ def test_compare_takes_settings_and_files_and_writes_numbers_and_maps(run: Gonio
     ):
         assert words in out
     names = ("CookTorrance", "Microfacet-2", "Microfacet-3")
-    assert files() == {"toy.toml", "two.toml", *(f"verdicts/{name}.{kind}" for name in names for kind in ("nc", "png"))}
-    with xr.open_dataset("verdicts/CookTorrance.nc", engine="h5netcdf", group="table") as table:
+    assert files() == {
+        "toy.toml",
+        "two.toml",
+        *(f"comparisons/{name}.{kind}" for name in names for kind in ("nc", "png")),
+    }
+    with xr.open_dataset("comparisons/CookTorrance.nc", engine="h5netcdf", group="table") as table:
         assert table["l1"].shape == (2, 1, 3)
         assert "m=0.5" in table.attrs["model"]
         assert "k_d=0.1, k_s=0.9" in table.attrs["model"]
-    with xr.open_dataset("verdicts/CookTorrance.nc", engine="h5netcdf", group="lobes") as lobes:
+    with xr.open_dataset("comparisons/CookTorrance.nc", engine="h5netcdf", group="lobes") as lobes:
         assert lobes["significance"].shape == (2, 1, 10, 18, 3)
 
 
@@ -330,7 +334,7 @@ GOLD = "cook-torrance m=0.3 material.name=Au"
 
 
 def test_a_table_from_elsewhere_is_compared(run: Gonio, tables: Path) -> None:
-    code, out, err = run("compare", str(tables / "colours.nc"), "--model", GOLD, "-o", "verdicts")
+    code, out, err = run("compare", str(tables / "colours.nc"), "--model", GOLD, "-o", "comparisons")
     assert (code, err) == (0, "")
     assert all(len(line) <= 80 for line in out.splitlines())
     assert re.search(r"0\.0% +- +no errors", out)
@@ -338,7 +342,7 @@ def test_a_table_from_elsewhere_is_compared(run: Gonio, tables: Path) -> None:
     words = " ".join(out.split())
     for sentence in ("its file gives no errors", "was compared with all of it", "without errors nobody can say"):
         assert sentence in words
-    assert files() == {"toy.toml", "verdicts/CookTorrance.nc", "verdicts/CookTorrance.png"}
+    assert files() == {"toy.toml", "comparisons/CookTorrance.nc", "comparisons/CookTorrance.png"}
     two = ("--model", GOLD, "--model", "ward alpha=0.3 specular=0.8 reflectance=0.1")
     code, out, err = run("compare", str(tables / "spectrum.nc"), *two)
     assert (code, err) == (0, "")
@@ -430,15 +434,15 @@ def test_validate_prints_and_writes_a_table(run: Gonio) -> None:
 
 
 def test_validate_keeps_what_was_done_before_ctrl_c(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = validate.run
+    honest = validation.run
 
-    def until_pits(quick: bool, names: tuple[str]) -> tuple[validate.Row, ...]:
+    def until_pits(quick: bool, names: tuple[str]) -> tuple[validation.Row, ...]:
         if names == ("spherical pits",):
             raise KeyboardInterrupt
         return honest(quick, names)
 
     monkeypatch.setattr("gonio.validation.run", until_pits)
-    code, _, err = run("validate", "--quick", "--case", "hits", "--case", "pits", "-o", "table.md")
+    code, _, err = run("validate", "--quick", "--case", "count", "--case", "pits", "-o", "table.md")
     assert code == 1
     assert err.splitlines()[-1] == "Interrupted after 1 of 2 cases."
     assert "half-pipe, 2 hits" in Path("table.md").read_text()
@@ -520,7 +524,7 @@ def test_plot_compares_every_model(run: Gonio, measured: Path, blank: Calls) -> 
     code, out, _ = run("plot", str(measured), "--kind", "difference", "-o", "out")
     assert code == 0
     assert out.split() == ["out/difference-CookTorrance.png", "out/difference-Microfacet.png"]
-    assert [type(verdict.model).__name__ for _, (_, verdict), _ in blank] == ["CookTorrance", "Microfacet"]
+    assert [type(comparison.model).__name__ for _, (_, comparison), _ in blank] == ["CookTorrance", "Microfacet"]
 
 
 @pytest.mark.parametrize("source", ["NC", "toy.toml"])

@@ -69,12 +69,12 @@ def test_apertures_and_foreign_measurements_have_cards(measurement):
     assert not list(tree.iter("polygon"))
     assert len(list(tree.iter("line"))) == 4
     grid = HemisphereGrid(15.0, 30.0)
-    foreign = tabulated(
+    external = tabulated(
         np.full((1, 1, *grid.shape, 3), 0.1), grid, 20.0, 0.0, [600, 550, 450], attributes={"basis": "RGB"}
     )
-    _, rows = parsed(foreign)
+    _, rows = parsed(external)
     assert rows["wavelengths"] == "R, G, B"
-    assert rows["origin"] == "elsewhere"
+    assert rows["origin"] == "external"
     assert "±" not in rows["albedo"]
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from synthetic import foreign
+from synthetic import external
 
 import gonio
 import microsurfaces as ms
@@ -60,7 +60,7 @@ replicates = 4
 detector = {kind = "HemisphereGrid", theta_step = 5.0, phi_step = 10.0}
 """
 GRID = HemisphereGrid(theta_step=5.0, phi_step=10.0)
-GREY = foreign(Lambert(reflectance=0.5), theta_i=(0.0, 40.0), wavelengths=(450.0, 650.0), detector=GRID)
+GREY = external(Lambert(reflectance=0.5), theta_i=(0.0, 40.0), wavelengths=(450.0, 650.0), detector=GRID)
 
 
 @pytest.fixture(scope="module")
@@ -177,14 +177,14 @@ def test_what_exists_already_is_not_made_again(tmp_path: Path, monkeypatch: pyte
     def again(*_: Any, **__: Any) -> None:
         raise AssertionError
 
-    verdict = compare(GREY, Lambert(reflectance=0.6))
+    comparison = compare(GREY, Lambert(reflectance=0.6))
     names = ("lobes", "slices", "hemisphere", "albedo", "difference")
     for k, name in enumerate(names):
         Image.new("RGB", (3 + k, 2)).save(tmp_path / f"{name}.png")
         monkeypatch.setattr(f"gonio.plots.{name}", again)
     monkeypatch.setattr("gonio.reporting.compare", again)
     drawn = [tmp_path / f"{name}.png" for name in names]
-    reader = Reader(report(GREY, tmp_path / "x.html", [verdict], pictures=drawn))
+    reader = Reader(report(GREY, tmp_path / "x.html", [comparison], pictures=drawn))
     images = reader.all("img")
     assert [image["width"] for image in images] == ["3", "4", "5", "6", "7"]
     for image, path in zip(images, drawn, strict=True):
@@ -196,13 +196,13 @@ def test_what_exists_already_is_not_made_again(tmp_path: Path, monkeypatch: pyte
 def test_tables_hold_what_the_terminal_shows(page: Path, measurement: Measurement) -> None:
     cells = {text for tag, text in Reader(page).texts if tag in ("td", "th", "caption")}
     models = models_for(measurement)
-    verdicts = [compare(measurement, model) for model in models]
+    comparisons = [compare(measurement, model) for model in models]
     certificate = Certificate.from_json(measurement.attributes["certificate"])
     shown = [
         tables.albedo(measurement),
         tables.energy(measurement),
-        tables.ranking(verdicts),
-        *map(tables.verdict, verdicts),
+        tables.ranking(comparisons),
+        *map(tables.comparison, comparisons),
         tables.parameters(fit(measurement, models[0])),
         tables.checks(certificate),
     ]
@@ -299,7 +299,7 @@ def test_the_summary_tells_how_far_models_are_off() -> None:
 
 
 def test_the_summary_tells_noise_from_difference() -> None:
-    noisy = foreign(Lambert(reflectance=0.5), noise=0.05, detector=GRID)
+    noisy = external(Lambert(reflectance=0.5), noise=0.05, detector=GRID)
     text = said(noisy, Lambert(reflectance=0.5))
     assert "Lambert, reflectance 0.5 has the directional albedo right within noise" in text
     assert ", which noise explains." in text
@@ -340,7 +340,7 @@ def test_a_mirror_scatters_once() -> None:
 
 
 def test_what_comes_from_elsewhere_has_no_ledger_and_no_certificate(tmp_path: Path, undrawn: None) -> None:
-    colours = foreign(
+    colours = external(
         Lambert(reflectance=0.5), detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"}
     )
     reader = Reader(report(colours, tmp_path / "rgb.html", [Lambert(reflectance=0.6)]))
@@ -453,7 +453,7 @@ def test_models_are_averaged_over_the_same_bins(measurement: Measurement) -> Non
 def test_many_lobes_are_thinned_so_that_the_page_stays_small() -> None:
     angles, wavelengths = tuple(float(t) for t in range(0, 81, 2)), tuple(float(nm) for nm in range(400, 701, 20))
     coarse = HemisphereGrid(theta_step=15.0, phi_step=30.0)
-    many = foreign(Lambert(reflectance=0.5), theta_i=angles, wavelengths=wavelengths, detector=coarse)
+    many = external(Lambert(reflectance=0.5), theta_i=angles, wavelengths=wavelengths, detector=coarse)
     data = explore.explored(many, [])
     assert (len(data["incidences"]), len(data["channels"])) == (32, 5)
     assert data["choice"] == "32 of 41 incidences, 5 of 16 wavelengths"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import xarray as xr
-from synthetic import GRID, TRUTH, foreign, poisson, synthetic
+from synthetic import GRID, TRUTH, external, poisson, synthetic
 
 from gonio.brdf import Lobes
 from gonio.comparison import ENOUGH_HITS, _pools, compare
@@ -34,8 +34,8 @@ def test_calibrated_on_pure_noise():
         spread = column[metric].std() / np.sqrt(ratio.size)
         assert column[metric].mean() == pytest.approx(1.0, abs=4 * spread)
     # 5 % of the albedos differ by construction: 10 of 200, with a standard deviation of 3.1.
-    assert 1 <= column["albedo_differs"].sum() <= 20
-    assert (column["lobe"] == "noise").mean() > 0.98
+    assert 1 <= column["albedo_significant"].sum() <= 20
+    assert (column["lobe"] == "consistent").mean() > 0.98
 
 
 def test_many_cells_are_one_family():
@@ -43,7 +43,7 @@ def test_many_cells_are_one_family():
     conditions = {"theta_i": (0.0, 30.0, 60.0), "phi_i": (0.0, 90.0), "wavelengths": (450.0, 650.0)}
     detector = HemisphereGrid(15.0, 30.0)
     found = [
-        bool(compare(synthetic(seed=seed, detector=detector, **conditions), TRUTH).table["albedo_differs"].any())
+        bool(compare(synthetic(seed=seed, detector=detector, **conditions), TRUTH).table["albedo_significant"].any())
         for seed in range(60)
     ]
     assert sum(found) <= 9  # 3 expected
@@ -58,18 +58,18 @@ def test_pooled_bins_leave_five_per_cent_outside_too():
         outside.append(row["share_outside"].item() * row["bins"].item())
         bins.append(row["bins"].item())
         assert row["bins"].item() < GRID.bins
-        assert row["lobe"].item() == "noise"
+        assert row["lobe"].item() == "consistent"
     # A count of 10 is skewed, and knows its own error the worse the smaller it is: 5 % become up to 8 %.
     assert 0.03 < sum(outside) / sum(bins) < 0.085
 
 
 def test_specimens_that_shift_a_whole_lobe_are_not_mistaken_for_a_wrong_model():
-    verdicts = [compare(synthetic(seed=seed, realisations=4, noise=1e-3, common=0.02), TRUTH) for seed in range(60)]
-    lobes = [verdict.table["lobe"].item() for verdict in verdicts]
-    assert lobes.count("differs") <= 9  # 3 expected at most
-    assert all(verdict.scope == "class" for verdict in verdicts)
-    assert "4 specimens were measured" in verdicts[0].sentences()[0]
-    assert verdicts[0].table["l1_noise_mc"].item() < 0.2 * verdicts[0].table["l1_noise"].item()
+    comparisons = [compare(synthetic(seed=seed, realisations=4, noise=1e-3, common=0.02), TRUTH) for seed in range(60)]
+    lobes = [comparison.table["lobe"].item() for comparison in comparisons]
+    assert lobes.count("significant") <= 9  # 3 expected at most
+    assert all(comparison.scope == "ensemble" for comparison in comparisons)
+    assert "4 specimens were measured" in comparisons[0].sentences()[0]
+    assert comparisons[0].table["l1_noise_mc"].item() < 0.2 * comparisons[0].table["l1_noise"].item()
 
 
 # --- Differences are called differences -------------------------------------------------------------------------------
@@ -77,18 +77,18 @@ def test_specimens_that_shift_a_whole_lobe_are_not_mistaken_for_a_wrong_model():
 
 def test_a_wrong_model_is_rejected_in_numbers_and_in_words():
     wrong = CookTorrance(m=0.4, material=Mirror())
-    verdict = compare(synthetic(noise=0.01), wrong)
-    row = verdict.table.isel(theta_i=0, phi_i=0, wavelength=0)
-    assert row["albedo_differs"]
-    assert row["lobe"] == "differs"
+    comparison = compare(synthetic(noise=0.01), wrong)
+    row = comparison.table.isel(theta_i=0, phi_i=0, wavelength=0)
+    assert row["albedo_significant"]
+    assert row["lobe"] == "significant"
     assert row["share_outside"] > 0.2
     exact = (TRUTH.average(direction(30.0), GRID)[:, 0], wrong.average(direction(30.0), GRID)[:, 0])
     solid = GRID.projected_solid_angles()
     l1 = np.abs(exact[0] - exact[1]) @ solid / (exact[1] @ solid)
     assert l1 <= row["l1"] < l1 + row["l1_noise"]
     assert row["albedo_model"] == pytest.approx(exact[1] @ solid, rel=1e-12)
-    scope, albedo, lobe = verdict.sentences()
-    assert verdict.scope == "specimen"
+    scope, albedo, lobe = comparison.sentences()
+    assert comparison.scope == "specimen"
     assert "speaks of that specimen only" in scope
     relative = 100 * (row["albedo_model"] / row["albedo_measured"] - 1).item()
     assert albedo.startswith(f"theta_i 30: order-1 albedo {row['albedo_measured'].item():.5f} ± ")
@@ -102,17 +102,17 @@ def test_a_wrong_model_is_rejected_in_numbers_and_in_words():
 def test_a_right_albedo_with_a_wrong_lobe_is_rejected_by_the_lobe_only():
     gray = Lambert(float((TRUTH.average(direction(30.0), GRID)[:, 0] * GRID.projected_solid_angles()).sum()))
     row = compare(synthetic(), gray).table.isel(theta_i=0, phi_i=0, wavelength=0)
-    assert not row["albedo_differs"]
-    assert row["lobe"] == "differs"
+    assert not row["albedo_significant"]
+    assert row["lobe"] == "significant"
 
 
 def test_without_noise_an_exact_model_agrees_and_any_other_does_not():
     measurement = synthetic(truth=Lambert(0.5), noise=0.0)
     exact, other = (compare(measurement, Lambert(rho)).table.squeeze() for rho in (0.5, 0.501))
-    assert not exact["albedo_differs"]
-    assert exact["lobe"] == "noise"
-    assert other["albedo_differs"]
-    assert other["lobe"] == "differs"
+    assert not exact["albedo_significant"]
+    assert exact["lobe"] == "consistent"
+    assert other["albedo_significant"]
+    assert other["lobe"] == "significant"
     assert all("nan" not in sentence for sentence in compare(measurement, Lambert(0.5)).sentences())
 
 
@@ -120,9 +120,9 @@ def test_a_model_without_light_is_told_apart_from_a_black_surface():
     black = synthetic(truth=Lambert(0.0), noise=0.0)
     with np.errstate(all="raise"):
         row = compare(black, Lambert(0.5)).table.squeeze()
-        assert row["albedo_differs"]
+        assert row["albedo_significant"]
         assert "nothing was measured" in compare(black, Lambert(0.5)).sentences()[1]
-        assert not compare(black, Lambert(0.0)).table.squeeze()["albedo_differs"]
+        assert not compare(black, Lambert(0.0)).table.squeeze()["albedo_significant"]
 
 
 # --- Metrics ----------------------------------------------------------------------------------------------------------
@@ -160,8 +160,8 @@ def test_the_significance_map_has_every_bin_and_the_worst_ones_are_named():
     measurement = synthetic(noise=1e-3, theta_i=(0.0, 30.0), wavelengths=(450.0, 650.0))
     spot = {"theta_i": 1, "phi_i": 0, "theta_o": 7, "dphi": 11, "wavelength": 1}
     measurement.dataset["brdf"][{"order": 0, **spot}] *= 1.1
-    verdict = compare(measurement, TRUTH)
-    lobes = verdict.lobes
+    comparison = compare(measurement, TRUTH)
+    lobes = comparison.lobes
     assert lobes["significance"].dims == ("theta_i", "phi_i", "theta_o", "dphi", "wavelength")
     assert lobes["significance"].shape == (2, 1, *GRID.shape, 2)
     here = lobes.isel(spot)
@@ -170,7 +170,7 @@ def test_the_significance_map_has_every_bin_and_the_worst_ones_are_named():
     assert here["significance"].item() > 30
     rest = lobes["significance"].where(lobes["significance"] < here["significance"])
     assert rest.std().item() == pytest.approx(np.sqrt(15 / 13), rel=0.1)  # Student's t with 15
-    worst = verdict.worst_bins(3)
+    worst = comparison.worst_bins(3)
     assert (worst[0]["theta_i"], worst[0]["theta_o"], worst[0]["dphi"], worst[0]["wavelength"]) == (
         30.0,
         GRID.theta[7],
@@ -182,15 +182,15 @@ def test_the_significance_map_has_every_bin_and_the_worst_ones_are_named():
 
 
 def test_sparse_bins_share_the_significance_of_their_pool():
-    verdict = compare(poisson(1, photons=3000), TRUTH)
-    significance = verdict.lobes["significance"].values.ravel()
+    comparison = compare(poisson(1, photons=3000), TRUTH)
+    significance = comparison.lobes["significance"].values.ravel()
     assert np.isfinite(significance).all()
-    assert np.count_nonzero(np.diff(significance)) == verdict.table["bins"].item() - 1
+    assert np.count_nonzero(np.diff(significance)) == comparison.table["bins"].item() - 1
 
 
 def test_the_words_say_which_noise_it_is():
     specimens = [compare(synthetic(seed=seed, realisations=8, noise=1e-4, common=0.02), TRUTH) for seed in range(5)]
-    words = [sentence for verdict in specimens for sentence in verdict.sentences()[1:]]
+    words = [sentence for comparison in specimens for sentence in comparison.sentences()[1:]]
     assert sum("above the Monte Carlo noise, within what specimens differ" in sentence for sentence in words) >= 3
     assert compare(synthetic(), TRUTH).sentences()[2].endswith(": within the Monte Carlo noise.")
 
@@ -215,7 +215,7 @@ class Walk:
 
 def test_what_a_random_walk_does_not_know_is_noise_too():
     row = compare(synthetic(noise=1e-4), Walk(error=0.02)).table.squeeze()
-    assert row["lobe"] == "noise"
+    assert row["lobe"] == "consistent"
     assert row["chi2"].item() == pytest.approx(1.0, abs=0.25)
 
 
@@ -223,12 +223,12 @@ def test_what_a_random_walk_does_not_know_is_noise_too():
 
 
 def test_incidences_that_were_not_measured_are_left_out():
-    verdict = compare(synthetic(theta_i=(0.0, 30.0), phi_i=(0.0, 90.0), skip=((1, 0),)), TRUTH)
-    assert verdict.table["albedo_measured"].isnull().sum() == 1
-    assert verdict.table["bins"].values.ravel().tolist() == [GRID.bins, GRID.bins, 0, GRID.bins]
-    assert verdict.table["lobe"].values[1, 0, 0] == ""
-    assert len(verdict.sentences()) == 1 + 2 * 3
-    assert not any(sentence.startswith("theta_i 30, phi_i 0:") for sentence in verdict.sentences())
+    comparison = compare(synthetic(theta_i=(0.0, 30.0), phi_i=(0.0, 90.0), skip=((1, 0),)), TRUTH)
+    assert comparison.table["albedo_measured"].isnull().sum() == 1
+    assert comparison.table["bins"].values.ravel().tolist() == [GRID.bins, GRID.bins, 0, GRID.bins]
+    assert comparison.table["lobe"].values[1, 0, 0] == ""
+    assert len(comparison.sentences()) == 1 + 2 * 3
+    assert not any(sentence.startswith("theta_i 30, phi_i 0:") for sentence in comparison.sentences())
     with pytest.raises(ValueError, match="no measured incidence"):
         compare(synthetic(skip=((0, 0),)), TRUTH)
 
@@ -236,9 +236,9 @@ def test_incidences_that_were_not_measured_are_left_out():
 def test_every_wavelength_has_its_row_and_the_worst_is_told():
     gold = CookTorrance(m=0.4, material=Conductor("Au"))
     blue = CookTorrance(m=0.4, material=Conductor(eta=1.38, k=1.92))  # gold as it is at 450 nm
-    verdict = compare(synthetic(truth=gold, wavelengths=(450.0, 650.0)), blue)
-    assert verdict.table["lobe"].values.ravel().tolist() == ["noise", "differs"]
-    assert verdict.sentences()[1].startswith("theta_i 30, 650 nm: order-1 albedo")
+    comparison = compare(synthetic(truth=gold, wavelengths=(450.0, 650.0)), blue)
+    assert comparison.table["lobe"].values.ravel().tolist() == ["consistent", "significant"]
+    assert comparison.sentences()[1].startswith("theta_i 30, 650 nm: order-1 albedo")
 
 
 def test_apertures_are_compared_and_the_albedo_is_that_of_the_hemisphere():
@@ -249,10 +249,10 @@ def test_apertures_are_compared_and_the_albedo_is_that_of_the_hemisphere():
         measurement.dataset[name] = hemisphere.dataset[name]
     row = compare(measurement, TRUTH).table.squeeze()
     assert row["bins"] == 3
-    assert row["lobe"] == "noise"
+    assert row["lobe"] == "consistent"
     exact = TRUTH.average(direction(30.0), GRID)[:, 0] @ GRID.projected_solid_angles()
     assert row["albedo_model"] == pytest.approx(exact, rel=2e-5)
-    assert compare(measurement, CookTorrance(m=0.3, material=Mirror())).table.squeeze()["lobe"] == "differs"
+    assert compare(measurement, CookTorrance(m=0.3, material=Mirror())).table.squeeze()["lobe"] == "significant"
 
 
 def test_a_wide_beam_is_mentioned():
@@ -294,14 +294,14 @@ def test_the_conclusion_says_below_which_noise_or_how_large_the_difference_is():
 
 
 def test_a_verdict_is_a_file(tmp_path):
-    verdict = compare(synthetic(seed=1, wavelengths=(450.0, 650.0)), TRUTH)
-    path = verdict.save(tmp_path / "verdict.nc")
+    comparison = compare(synthetic(seed=1, wavelengths=(450.0, 650.0)), TRUTH)
+    path = comparison.save(tmp_path / "comparison.nc")
     with xr.open_dataset(path, engine="h5netcdf", group="table") as table:
-        np.testing.assert_array_equal(table["l1"], verdict.table["l1"])
-        np.testing.assert_array_equal(table["albedo_differs"], verdict.table["albedo_differs"])
+        np.testing.assert_array_equal(table["l1"], comparison.table["l1"])
+        np.testing.assert_array_equal(table["albedo_significant"], comparison.table["albedo_significant"])
         assert table.attrs["model"] == repr(TRUTH)
     with xr.open_dataset(path, engine="h5netcdf", group="lobes") as lobes:
-        xr.testing.assert_equal(lobes["significance"], verdict.lobes["significance"])
+        xr.testing.assert_equal(lobes["significance"], comparison.lobes["significance"])
         assert lobes["measured"].attrs["units"] == "sr-1"
 
 
@@ -313,19 +313,21 @@ WRONG = CookTorrance(m=0.4, material=Mirror())
 
 def test_without_errors_differences_are_told_but_nothing_of_noise():
     """A table of a model's own averages is that model; against another it differs as it does without noise."""
-    exact, wrong = (compare(foreign(theta_i=(0.0, 60.0)), model) for model in (TRUTH, WRONG))
+    exact, wrong = (compare(external(theta_i=(0.0, 60.0)), model) for model in (TRUTH, WRONG))
     for metric in ("albedo_bias", "l1", "l2", "log_rms"):
         np.testing.assert_allclose(exact.table[metric], 0.0, atol=1e-12)
         there = compare(synthetic(noise=0.0, theta_i=(0.0, 60.0)), WRONG).table[metric]
         np.testing.assert_allclose(wrong.table[metric], there, rtol=1e-9)
-    for verdict in (exact, wrong):
-        assert all(verdict.table[name].isnull().all() for name in OF_NOISE)
-        assert (verdict.table["lobe"] == "unknown").all()
-        assert not verdict.table["albedo_differs"].any()
-        assert verdict.lobes["significance"].isnull().all()
-        assert not verdict.worst_bins()
-        assert "its file gives no errors: differences are told, but not what noise explains" in verdict.sentences()[0]
-        words = " ".join([*verdict.sentences(), verdict.conclusion()])
+    for comparison in (exact, wrong):
+        assert all(comparison.table[name].isnull().all() for name in OF_NOISE)
+        assert (comparison.table["lobe"] == "unknown").all()
+        assert not comparison.table["albedo_significant"].any()
+        assert comparison.lobes["significance"].isnull().all()
+        assert not comparison.worst_bins()
+        assert (
+            "its file gives no errors: differences are told, but not what noise explains" in comparison.sentences()[0]
+        )
+        words = " ".join([*comparison.sentences(), comparison.conclusion()])
         assert "nan" not in words
     row = wrong.worst_rows()[0]
     assert wrong.conclusion().startswith("without errors nobody can say what noise explains")
@@ -337,7 +339,7 @@ def test_errors_of_a_file_are_calibrated():
     """In 200 repeats z is normal, 5 % of bins are outside, chi2 is 1 and L1 what noise adds up to; nothing is found."""
     from scipy.stats import kstest
 
-    tables = [compare(foreign(noise=0.02, seed=seed), TRUTH).table for seed in range(200)]
+    tables = [compare(external(noise=0.02, seed=seed), TRUTH).table for seed in range(200)]
     column = {name: np.array([table[name].item() for table in tables]) for name in tables[0]}
     assert kstest(column["z"], "norm").pvalue > 0.01
     for name, expected in {"share_outside": 0.05, "chi2": 1.0}.items():
@@ -346,16 +348,16 @@ def test_errors_of_a_file_are_calibrated():
     for metric in ("l1", "l2", "log_rms"):
         ratio = column[metric] / column[f"{metric}_noise"]
         assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(200) + 0.005)
-    assert 1 <= column["albedo_differs"].sum() <= 20  # 10 expected
-    assert (column["lobe"] == "noise").mean() > 0.98
+    assert 1 <= column["albedo_significant"].sum() <= 20  # 10 expected
+    assert (column["lobe"] == "consistent").mean() > 0.98
     assert (column["bins"] == GRID.bins).all()
     assert np.isinf(column["degrees_of_freedom"]).all()
 
 
 def test_with_errors_noise_is_called_noise_and_differences_differences():
-    measurement = foreign(noise=0.01, seed=1)
+    measurement = external(noise=0.01, seed=1)
     right, wrong = compare(measurement, TRUTH), compare(measurement, WRONG)
-    assert right.scope == "elsewhere"
+    assert right.scope == "external"
     assert right.sentences()[0].startswith("The measurement comes from elsewhere: its errors are those in its file")
     assert right.conclusion().startswith("the disagreement is below the noise that its file tells, which is up to ")
     albedo, lobe = right.sentences()[-2:]
@@ -364,18 +366,18 @@ def test_with_errors_noise_is_called_noise_and_differences_differences():
     assert albedo.endswith(": within the errors of the file.")
     assert lobe.endswith(": within the errors of the file.")
     assert f"of {GRID.bins} bins are outside" in lobe
-    assert wrong.table["albedo_differs"].item()
-    assert wrong.table["lobe"].item() == "differs"
+    assert wrong.table["albedo_significant"].item()
+    assert wrong.table["lobe"].item() == "significant"
     assert wrong.conclusion().startswith("noise does not explain the difference at 1 of 1 incidences")
     assert wrong.worst_bins()[0]["channel"] == "550 nm"
     assert not any("Monte Carlo" in sentence or "specimen" in sentence for sentence in right.sentences())
 
 
 def test_a_model_of_one_hit_is_held_against_all_light_and_says_so():
-    verdict = compare(foreign(), TRUTH)
-    assert verdict.order == "all"
-    assert "Microfacet, which speaks of the light of one hit, was compared with all of it" in verdict.preamble()[1]
-    of_all = compare(foreign(truth=Ward(alpha=0.3)), Ward(alpha=0.3))
+    comparison = compare(external(), TRUTH)
+    assert comparison.order == "all"
+    assert "Microfacet, which speaks of the light of one hit, was compared with all of it" in comparison.preamble()[1]
+    of_all = compare(external(truth=Ward(alpha=0.3)), Ward(alpha=0.3))
     assert len(of_all.preamble()) == 1
     with pytest.raises(ValueError, match="the measurement has no order '1', only 2"):
         compare(synthetic(order="2"), TRUTH)
@@ -386,7 +388,7 @@ def test_bins_that_are_not_known_take_no_part():
     hole = np.zeros((1, 1, *GRID.shape, 2), bool)
     hole[..., 10:, 5:9, 1] = True
     options = {"noise": 0.02, "seed": 3, "wavelengths": (450.0, 650.0)}
-    whole, part = (compare(foreign(unknown=unknown, **options), TRUTH).table.squeeze() for unknown in (None, hole))
+    whole, part = (compare(external(unknown=unknown, **options), TRUTH).table.squeeze() for unknown in (None, hole))
     for name in whole:
         assert part[name][0].item() == (
             whole[name][0].item() if name == "lobe" else pytest.approx(whole[name][0].item())
@@ -397,57 +399,57 @@ def test_bins_that_are_not_known_take_no_part():
     solid = np.where(hole[0, 0, ..., 1].ravel(), 0.0, GRID.projected_solid_angles())
     exact = TRUTH.average(direction(30.0), GRID)[:, 0] @ solid
     assert part["albedo_model"][1].item() == pytest.approx(exact, rel=1e-12)
-    verdict = compare(foreign(unknown=hole, wavelengths=(450.0, 650.0)), WRONG)
-    bias = verdict.table["albedo_bias"].values.ravel()
+    comparison = compare(external(unknown=hole, wavelengths=(450.0, 650.0)), WRONG)
+    bias = comparison.table["albedo_bias"].values.ravel()
     assert bias[1] != pytest.approx(bias[0])
-    assert f"The file knows nothing of 0 to {hole.sum()} of the {GRID.bins} bins" in verdict.preamble()[-1]
-    assert np.isnan(verdict.lobes["measured"].values[hole]).all()
+    assert f"The file knows nothing of 0 to {hole.sum()} of the {GRID.bins} bins" in comparison.preamble()[-1]
+    assert np.isnan(comparison.lobes["measured"].values[hole]).all()
 
 
 def test_what_is_not_known_at_all_has_no_row():
     nothing = np.zeros((2, 1, 1, 1, 2), bool)
     nothing[1, ..., 0] = True
-    verdict = compare(foreign(theta_i=(0.0, 30.0), wavelengths=(450.0, 650.0), unknown=nothing), TRUTH)
-    assert [(row["theta_i"], row["channel"]) for row in verdict.rows()] == [
+    comparison = compare(external(theta_i=(0.0, 30.0), wavelengths=(450.0, 650.0), unknown=nothing), TRUTH)
+    assert [(row["theta_i"], row["channel"]) for row in comparison.rows()] == [
         (0.0, "450 nm"),
         (0.0, "650 nm"),
         (30.0, "650 nm"),
     ]
-    assert len(verdict.worst_rows()) == 2
+    assert len(comparison.worst_rows()) == 2
     with pytest.raises(ValueError, match="no measured incidence"):
-        compare(foreign(unknown=True), TRUTH)
+        compare(external(unknown=True), TRUTH)
 
 
 def test_errors_that_are_known_in_part_are_no_errors_where_they_are_not():
-    measurement = foreign(noise=0.02, wavelengths=(450.0, 650.0))
-    measurement.dataset["standard_error"][..., 3, 3, 0] = np.nan
+    measurement = external(noise=0.02, wavelengths=(450.0, 650.0))
+    measurement.dataset["brdf_standard_error"][..., 3, 3, 0] = np.nan
     measurement.dataset["albedo_standard_error"][..., 0] = np.nan
-    verdict = compare(measurement, TRUTH)
-    assert verdict.table["lobe"].values.ravel().tolist() == ["unknown", "noise"]
-    assert "no errors of some incidences or wavelengths" in verdict.preamble()[0]
-    assert np.isnan(verdict.lobes["significance"]).sum() == 1
+    comparison = compare(measurement, TRUTH)
+    assert comparison.table["lobe"].values.ravel().tolist() == ["unknown", "consistent"]
+    assert "no errors of some incidences or wavelengths" in comparison.preamble()[0]
+    assert np.isnan(comparison.lobes["significance"]).sum() == 1
 
 
 def test_a_model_sampled_as_a_function_is_that_model():
     """Two nodes an axis and bin against the averages that are exact to 1e-5."""
     lobes = Lobes(lambda wi, wo: TRUTH.eval(wi, wo, (550.0,)), np.array([550.0]), np.array([0.0, 30.0]))
-    verdict = compare(lobes.sampled((0.0, 30.0), 0.0, GRID, nodes=6), TRUTH)
-    np.testing.assert_allclose(verdict.table["albedo_bias"], 0.0, atol=2e-5)
-    np.testing.assert_allclose(verdict.table["l1"], 0.0, atol=2e-5)
+    comparison = compare(lobes.sampled((0.0, 30.0), 0.0, GRID, nodes=6), TRUTH)
+    np.testing.assert_allclose(comparison.table["albedo_bias"], 0.0, atol=2e-5)
+    np.testing.assert_allclose(comparison.table["l1"], 0.0, atol=2e-5)
 
 
 def test_channels_of_a_colour_have_names():
     attributes = {"basis": "RGB"}
-    verdict = compare(foreign(noise=0.01, wavelengths=(611.4, 549.1, 464.2), attributes=attributes), WRONG)
-    assert {row["channel"] for row in verdict.rows()} == {"R", "G", "B"}
-    words = " ".join([*verdict.sentences(), verdict.conclusion()])
+    comparison = compare(external(noise=0.01, wavelengths=(611.4, 549.1, 464.2), attributes=attributes), WRONG)
+    assert {row["channel"] for row in comparison.rows()} == {"R", "G", "B"}
+    words = " ".join([*comparison.sentences(), comparison.conclusion()])
     assert "nm" not in words
-    assert verdict.sentences()[-1].startswith(f"theta_i 30, {verdict.worst_rows()[0]['channel']}: ")
+    assert comparison.sentences()[-1].startswith(f"theta_i 30, {comparison.worst_rows()[0]['channel']}: ")
 
 
 def test_a_verdict_without_errors_is_a_file(tmp_path):
-    path = compare(foreign(), WRONG).save(tmp_path / "verdict.nc")
+    path = compare(external(), WRONG).save(tmp_path / "comparison.nc")
     with xr.open_dataset(path, engine="h5netcdf", group="table") as table:
-        assert table.attrs["scope"] == "elsewhere"
+        assert table.attrs["scope"] == "external"
         assert table.attrs["channels"] == "550 nm"
         assert np.isnan(table["p_value"]).all()

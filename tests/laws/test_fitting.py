@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from statistical import assert_covers
-from synthetic import GRID, TRUTH, foreign, poisson, synthetic
+from synthetic import GRID, TRUTH, external, poisson, synthetic
 
 import microsurfaces as ms
 from gonio.detectors import Apertures, HemisphereGrid
@@ -238,7 +238,7 @@ def test_apertures_are_fitted_as_they_are():
 
 def test_parameters_of_a_table_without_errors_come_back():
     truth = CookTorrance(m=0.3, material=Dielectric(eta=1.6))
-    measurement = foreign(truth, theta_i=(10.0, 55.0), detector=WIDE)
+    measurement = external(truth, theta_i=(10.0, 55.0), detector=WIDE)
     found = fit(measurement, with_values(truth, {"m": 0.5, "material.eta": 1.3}), free=("m", "material.eta"))
     assert [p.value for p in found.parameters] == pytest.approx([0.3, 1.6], rel=1e-3)
     assert found.order == "all"
@@ -256,9 +256,9 @@ def test_intervals_cover_with_and_without_errors():
     for told in (True, False):
         scores, inside = [], 0
         for seed in range(100):
-            measurement = foreign(Lambert(0.4), 0.05, seed, WIDE, (20.0, 60.0))
+            measurement = external(Lambert(0.4), 0.05, seed, WIDE, (20.0, 60.0))
             if not told:
-                measurement.dataset["standard_error"][:] = np.nan
+                measurement.dataset["brdf_standard_error"][:] = np.nan
             (p,) = fit(measurement, Lambert(0.5)).parameters
             scores.append((p.value - 0.4) / p.standard_error)
             inside += p.interval[0] <= 0.4 <= p.interval[1]
@@ -267,7 +267,7 @@ def test_intervals_cover_with_and_without_errors():
 
 
 def test_with_errors_only_noise_is_left_of_the_right_model():
-    measurement = foreign(smith(0.4), 0.03, 1, theta_i=(0.0, 60.0))
+    measurement = external(smith(0.4), 0.03, 1, theta_i=(0.0, 60.0))
     right, wrong = (fit(measurement, model) for model in (smith(0.2), CookTorrance(m=0.2, material=Mirror())))
     assert right.dispersion == pytest.approx(1.0, abs=0.25)
     assert wrong.dispersion > 5.0
@@ -279,7 +279,7 @@ def test_with_errors_only_noise_is_left_of_the_right_model():
 
 def test_without_errors_models_are_ranked_by_what_they_leave():
     models = (CookTorrance(m=0.2, material=Mirror()), smith(0.2))
-    best, other = rank([fit(foreign(smith(0.4), theta_i=(0.0, 60.0)), model) for model in models])
+    best, other = rank([fit(external(smith(0.4), theta_i=(0.0, 60.0)), model) for model in models])
     assert isinstance(best.fit.model, Microfacet)
     assert other.told_apart
 
@@ -290,7 +290,7 @@ def test_bins_that_are_not_known_do_not_decide_a_fit(noise):
     hole = np.zeros((3, 1, *GRID.shape, 1), bool)
     hole[:, :, 4:8, 10:15] = True
     hole[1] = True
-    measurement = foreign(smith(0.3), noise, theta_i=(0.0, 30.0, 60.0), unknown=hole)
+    measurement = external(smith(0.3), noise, theta_i=(0.0, 30.0, 60.0), unknown=hole)
     found = fit(measurement, smith(0.6))
     (p,) = found.parameters
     assert p.value == pytest.approx(0.3, abs=1e-4 if noise is None else 4 * p.standard_error)
@@ -299,12 +299,12 @@ def test_bins_that_are_not_known_do_not_decide_a_fit(noise):
     assert f"{found.left_out} bins took no part" in " ".join(found.sentences())
     by_turns = np.arange(2) != np.arange(GRID.shape[1])[:, None] % 2
     with pytest.raises(ValueError, match="no bin is known at all of these wavelengths"):
-        fit(foreign(wavelengths=(450.0, 650.0), unknown=by_turns), TRUTH)
+        fit(external(wavelengths=(450.0, 650.0), unknown=by_turns), TRUTH)
 
 
 def test_channels_of_a_colour_have_names():
     truth = CookTorrance(m=0.3, material=Conductor(eta=0.5, k=3.0))
-    measurement = foreign(truth, 0.01, wavelengths=(611.4, 549.1, 464.2), detector=WIDE, attributes={"basis": "RGB"})
+    measurement = external(truth, 0.01, wavelengths=(611.4, 549.1, 464.2), detector=WIDE, attributes={"basis": "RGB"})
     found = fit(measurement, truth, free=("material.eta", "material.k"), wavelengths=(611.4, 464.2))
     assert found.channels == ("R", "B")
     sentences = [sentence for sentence in found.sentences() if sentence.startswith("F0")]

@@ -221,12 +221,12 @@ def test_embree_measures_the_same(name, material):
     ours, theirs = (goniometer.measure(Scene(r, material), seed=5) for r in (relief, relief.mesh()))
     one, other = (measurement.dataset for measurement in (ours, theirs))
     np.testing.assert_allclose(one["albedo"], other["albedo"], atol=5e-4)
-    full = ((one["hits"] > 400) & (other["hits"] > 400)).values
+    full = ((one["count"] > 400) & (other["count"] > 400)).values
     assert full.sum() > 100
     difference = np.abs(one["brdf"] - other["brdf"]).values[full]
-    assert (difference < 0.5 * one["standard_error_mc"].values[full]).all()
-    assert (ours.sums["ledger"].sel(fate="lost") == 0).all()
-    assert (ours.sums["ledger"].sel(fate="truncated") == 0).all()
+    assert (difference < 0.5 * one["brdf_standard_error_mc"].values[full]).all()
+    assert (ours.sums["energy_budget"].sel(termination="lost") == 0).all()
+    assert (ours.sums["energy_budget"].sel(termination="truncated") == 0).all()
 
 
 # ----------------------------------------------------------------------------------------------------------------- bins

@@ -90,7 +90,7 @@ def cylinders(profile, distance):
 
 @traced_both_ways
 def a_lossless_surface_returns_all_light(way):
-    ledger = measure(way(rough()), optics.Mirror(), theta_i=(0, 60, 85), paths=300_000, detector=COARSE).ledger()
+    ledger = measure(way(rough()), optics.Mirror(), theta_i=(0, 60, 85), paths=300_000, detector=COARSE).energy_budget()
     lost, absorbed = float(ledger["lost"].max() + ledger["truncated"].max()), float(ledger["absorbed"].max())
     assert absorbed == 0, f"{absorbed:.2g} of the light is absorbed"
     assert lost < 1e-5, f"{lost:.2g} of the light is lost"
@@ -100,7 +100,7 @@ def a_lossless_surface_returns_all_light(way):
 def steep_grooves_lose_no_light(way):
     """Up to five hits near the bottom, a concave edge."""
     measurement = measure(way(grooves(angle=70)), optics.Mirror(), theta_i=(0, 60), paths=300_000)
-    ledger = measurement.ledger()
+    ledger = measurement.energy_budget()
     lost = float((ledger["lost"] + ledger["truncated"]).max())
     assert lost < 2e-5, f"{lost:.2g} of the light is lost"
 
@@ -132,7 +132,7 @@ def a_flat_diffuser_is_rho_over_pi_everywhere(way):
     grid = HemisphereGrid(theta_step=30, phi_step=90)
     data = measure(way(flat()), optics.Lambertian(0.8), theta_i=(0, 60), paths=1_000_000, detector=grid).dataset
     bins = data.sel(order="all")
-    assert_equal_within_noise(bins["brdf"].values, 0.8 / math.pi, bins["standard_error"].values, 15)
+    assert_equal_within_noise(bins["brdf"].values, 0.8 / math.pi, bins["brdf_standard_error"].values, 15)
 
 
 @traced_both_ways
@@ -141,7 +141,7 @@ def error_bars_cover_the_truth(way):
     grid = HemisphereGrid(theta_step=6, phi_step=12)
     data = measure(way(flat()), optics.Lambertian(1.0), theta_i=(0, 30, 60), paths=500_000, detector=grid).dataset
     bins = data.sel(order="all")
-    scores = ((bins["brdf"] - 1 / math.pi) / bins["standard_error"]).values
+    scores = ((bins["brdf"] - 1 / math.pi) / bins["brdf_standard_error"]).values
     assert_covers(scores[..., 1:, :, :].ravel(), 15)  # bins of the cap are the same few paths turned about
 
 
@@ -165,7 +165,7 @@ def a_source_cone_averages_fresnel_over_its_directions(way):
     albedo = measure(
         way(flat()), GLASS, theta_i=(theta,), beam_half_angle=half_angle, paths=200_000, detector=COARSE
     ).albedo()
-    assert_equal_within_noise(albedo["albedo"].values, expected, albedo["standard_error"].values, 15)
+    assert_equal_within_noise(albedo["albedo"].values, expected, albedo["albedo_standard_error"].values, 15)
 
 
 @traced_both_ways
@@ -176,7 +176,7 @@ def cones_are_reciprocal(way):
     )
     a, b, half_angle = (20.0, 10.0), (60.0, 160.0), 15.0
     (there, there_error), (back, back_error) = (
-        (data["brdf"].item(), data["standard_error_mc"].item())
+        (data["brdf"].item(), data["brdf_standard_error_mc"].item())
         for data in (
             measure(
                 relief, GLASS, theta_i=lit[:1], phi_i=lit[1:], beam_half_angle=half_angle, paths=1_000_000,
@@ -227,11 +227,13 @@ def facets_reflect_with_fresnel_at_their_own_angle(way):
 
 def orders_add_up_to_the_total():
     sums = measure(cylinders("grooves", 2.0), GLASS, theta_i=(0, 60), paths=100_000, detector=COARSE).sums
-    for name in ("weight", "hits"):
+    for name in ("weight", "count"):
         assert (sums[name].sel(order="all") == sums[name].drop_sel(order="all").sum("order")).all(), name
         assert (sums[name].isel(bin=-1) == sums[name].isel(bin=slice(-1)).sum("bin")).all(), name
-    ledger = sums["ledger"]
-    assert (ledger.sel(fate="launched") == ledger.drop_sel(fate="launched").sum("fate")).all(), "ledger"
+    ledger = sums["energy_budget"]
+    assert (ledger.sel(termination="launched") == ledger.drop_sel(termination="launched").sum("termination")).all(), (
+        "ledger"
+    )
 
 
 @traced_both_ways
@@ -243,8 +245,8 @@ def where_the_tile_is_cut_changes_nothing(way):
         for seed, r in enumerate((relief, moved))
     ]
     one, other = (d.sel(order="all").squeeze() for d in data)
-    full = ((one["hits"] > 400) & (other["hits"] > 400)).values
-    error = np.hypot(one["standard_error_mc"], other["standard_error_mc"]).values
+    full = ((one["count"] > 400) & (other["count"] > 400)).values
+    error = np.hypot(one["brdf_standard_error_mc"], other["brdf_standard_error_mc"]).values
     assert full.sum() > 200
     assert_equal_within_noise(one["brdf"].values[full], other["brdf"].values[full], error[full], 15)
 
@@ -264,10 +266,10 @@ def grooves_of_all_slopes_and_azimuths_are_cook_and_torrance(way):
     )
     data = total.dataset.sel(order="1").squeeze()
     expected = CookTorrance(m=m, material=GLASS).average(direction(theta, 0), grid, GREEN).reshape(grid.shape)
-    full = data["hits"].values > 2000
+    full = data["count"].values > 2000
     assert full.sum() > 20
     assert_equal_within_noise(
-        data["brdf"].values[full], expected[full], data["standard_error"].values[full], realisations - 1
+        data["brdf"].values[full], expected[full], data["brdf_standard_error"].values[full], realisations - 1
     )
 
 

@@ -78,7 +78,7 @@ def test_variances_of_every_bin_are_unbiased():
         assert float(found.mean()) == pytest.approx(expected, abs=4 * spread)
         assert (found < 0).any() or specimens
         both = parts["brdf_specimens"] + parts["brdf_monte_carlo"]
-        np.testing.assert_allclose(both, measurement.dataset["standard_error"].sel(order="all") ** 2, rtol=1e-9)
+        np.testing.assert_allclose(both, measurement.dataset["brdf_standard_error"].sel(order="all") ** 2, rtol=1e-9)
 
 
 def test_specimens_that_differ_as_a_whole_show_in_albedos():

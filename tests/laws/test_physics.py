@@ -57,7 +57,11 @@ def test_flat_lambertian_is_rho_over_pi_everywhere(reflectance):
         assert (data["brdf"] == 0).all()
         return
     assert_equal_within_noise(
-        data["brdf"].values, reflectance / math.pi, data["standard_error"].values, goniometer.replicates - 1, 1e-3 / 4
+        data["brdf"].values,
+        reflectance / math.pi,
+        data["brdf_standard_error"].values,
+        goniometer.replicates - 1,
+        1e-3 / 4,
     )
     np.testing.assert_allclose(data["albedo"].values, reflectance, rtol=1e-9)
 
@@ -95,11 +99,11 @@ def test_a_lossless_surface_returns_all_light(name):
         theta_i=(0, 30, 60, 80, 88), phi_i=(10,), paths=2_000_000, wavelengths=(550,), detector=HemisphereGrid(5, 15)
     )
     measurement = goniometer.measure(Scene(RELIEFS[name](), optics.Mirror()), seed=2)
-    ledger = measurement.sums["ledger"].astype("int64")
-    astray = ledger.sel(fate="lost") + ledger.sel(fate="truncated")
-    assert (ledger.sel(fate="launched") == 2_000_000 * UNIT).all()
-    assert (ledger.sel(fate="escaped") + astray == ledger.sel(fate="launched")).all()
-    assert (ledger.sel(fate="absorbed") == 0).all()
+    ledger = measurement.sums["energy_budget"].astype("int64")
+    astray = ledger.sel(termination="lost") + ledger.sel(termination="truncated")
+    assert (ledger.sel(termination="launched") == 2_000_000 * UNIT).all()
+    assert (ledger.sel(termination="escaped") + astray == ledger.sel(termination="launched")).all()
+    assert (ledger.sel(termination="absorbed") == 0).all()
     assert (astray / (2_000_000 * UNIT) < (1e-6 if name.startswith("gaussian") else 1e-5)).all()
     weight = measurement.sums["weight"]
     assert (weight.sel(order="all") == weight.drop_sel(order="all").sum("order")).all()
@@ -112,9 +116,9 @@ def test_a_lossless_surface_returns_all_light(name):
 def test_the_ledger_closes(material):
     scene = Scene(ms.Gaussian(alpha=0.8, samples=256, side=150.0).build(1), material)
     goniometer = Goniometer(theta_i=(0, 70), paths=100_000, detector=Apertures(((20.0, 30.0), (20.0, 32.0)), 4.0))
-    ledger = goniometer.measure(scene).sums["ledger"]
-    assert (ledger.sel(fate="launched") == ledger.drop_sel(fate="launched").sum("fate")).all()
-    assert (ledger.sel(fate="absorbed") > 0).all()
+    ledger = goniometer.measure(scene).sums["energy_budget"]
+    assert (ledger.sel(termination="launched") == ledger.drop_sel(termination="launched").sum("termination")).all()
+    assert (ledger.sel(termination="absorbed") > 0).all()
 
 
 # ------------------------------------------------------------------------------------------------- closed forms
@@ -125,7 +129,7 @@ def test_a_right_angled_groove_returns_light_after_two_hits():
     measurement = goniometer.measure(Scene(ms.VGrooves(angle=45).build(0), optics.Mirror()))
     albedo = measurement.dataset["albedo"].sel(theta_i=0, phi_i=0, wavelength=550)
     assert float(albedo.sel(order="2")) > 1 - 1e-5
-    back = measurement.dataset["hits"].sel(order="2", theta_i=0, phi_i=0, theta_o=0).values
+    back = measurement.dataset["count"].sel(order="2", theta_i=0, phi_i=0, theta_o=0).values
     assert back.sum() > (1 - 1e-5) * 1_000_000
 
 
@@ -173,7 +177,7 @@ def test_cone_to_cone_reciprocity(relief, material):
             detector=Apertures((watched,), half_angle),
         )  # fmt: skip
         data = goniometer.measure(scene, seed=8).dataset.sel(order="all")
-        seen.append((data["brdf"].values.ravel(), data["standard_error_mc"].values.ravel()))
+        seen.append((data["brdf"].values.ravel(), data["brdf_standard_error_mc"].values.ravel()))
     (there, error_there), (back, error_back) = seen
     assert (there > 100 * error_there).all()
     assert_equal_within_noise(there, back, np.hypot(error_there, error_back), 15)
@@ -182,8 +186,8 @@ def test_cone_to_cone_reciprocity(relief, material):
 def noise_free_difference(one, other):
     """t-scores of all well filled bins of two measurements, pooled over wavelengths."""
     a, b = (m.dataset.sel(order="all").isel(wavelength=0) for m in (one, other))
-    full = (a["hits"] > 400) & (b["hits"] > 400)
-    error = np.hypot(a["standard_error_mc"], b["standard_error_mc"]).values[full]
+    full = (a["count"] > 400) & (b["count"] > 400)
+    error = np.hypot(a["brdf_standard_error_mc"], b["brdf_standard_error_mc"]).values[full]
     return a["brdf"].values[full], b["brdf"].values[full], error
 
 
@@ -219,8 +223,8 @@ def test_the_average_over_azimuths_is_isotropic():
     )
     measurement = goniometer.measure(Scene(relief, optics.Mirror()), seed=10)
     data = measurement.dataset.sel(order="all").isel(wavelength=0, theta_i=0)
-    full = (data["hits"] > 400).all("phi_i").values
-    error = data["standard_error_mc"].values[:, full]
+    full = (data["count"] > 400).all("phi_i").values
+    error = data["brdf_standard_error_mc"].values[:, full]
     assert_equal_within_noise(*data["brdf"].values[:, full], np.hypot(*error), 15)
     assert measurement.isotropic
 
@@ -233,7 +237,7 @@ def test_a_source_cone_averages_fresnel_over_its_directions():
     goniometer = Goniometer(theta_i=(theta,), beam_half_angle=half_angle, paths=1_000_000, wavelengths=(550,))
     albedo = goniometer.measure(Scene(ms.Flat().build(0), material), seed=11).albedo()
     assert_equal_within_noise(
-        float(albedo["albedo"].squeeze()), expected, float(albedo["standard_error"].squeeze()), 15
+        float(albedo["albedo"].squeeze()), expected, float(albedo["albedo_standard_error"].squeeze()), 15
     )
 
 
@@ -270,7 +274,7 @@ def test_gaussian_surfaces_against_smith(m):
     for theta, (mean, rms) in SMITH[m].items():
         expected = model.average(direction(theta, 0), goniometer.detector)[:, 0].reshape(goniometer.detector.shape)
         row = data.sel(theta_i=theta)
-        chosen = (row["hits"].values > 10_000) & (goniometer.detector.theta[:, None] < 60)
+        chosen = (row["count"].values > 10_000) & (goniometer.detector.theta[:, None] < 60)
         ratio = 100 * (row["brdf"].values[chosen] / expected[chosen] - 1)
         assert chosen.sum() > 20
         assert abs(ratio.mean() - mean) <= 1.0, f"m {m} theta {theta}: mean {ratio.mean():.2f} %, expected {mean}"

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from scipy import stats
 from statistical import LEVEL
-from synthetic import foreign
+from synthetic import external
 from test_mutations import DAMAGES
 
 import gonio
@@ -19,7 +19,7 @@ import microsurfaces as ms
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.experiment import Experiment
 from gonio.goniometer import Goniometer
-from gonio.measurement import FATES
+from gonio.measurement import ENERGY_BUDGET
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
 from gonio.self_check import Certificate, certify, certify_file
 from gonio.transport.scene import Scene
@@ -28,7 +28,7 @@ NAMES = (
     "ledger", "orders", "values", "energy", "furnace", "lost light", "reciprocity", "normals", "resolution",
     "replicates", "realisations", "completeness", "sparse bins", "polarisation", "geometric optics",
 )  # fmt: skip
-LAUNCHED, ESCAPED, ABSORBED, _, LOST = range(len(FATES))
+LAUNCHED, ESCAPED, ABSORBED, _, LOST = range(len(ENERGY_BUDGET))
 COPPER, GLASS = Conductor("Cu"), Dielectric(eta=1.5)
 ROUGH = ms.Gaussian(alpha=0.3, samples=128, side=120.0)
 STEEP = ms.Gaussian(alpha=0.9, samples=64, side=32.0, correlation_length=8.0)
@@ -142,14 +142,14 @@ def test_random_checks_do_not_fail_by_chance():
 
 
 def one_unit_absorbed(sums):
-    sums["ledger"].values[0, 0, ABSORBED, 0] += 1
+    sums["energy_budget"].values[0, 0, ABSORBED, 0] += 1
 
 
 def swapped_fates(share):
     """Light that was absorbed is said to be lost."""
 
     def swap(sums):
-        ledger = sums["ledger"].values
+        ledger = sums["energy_budget"].values
         moved = (share * ledger[:, :, LAUNCHED]).astype(np.int64)
         ledger[:, :, ABSORBED] -= moved
         ledger[:, :, LOST] += moved
@@ -162,7 +162,7 @@ def an_order_dropped(sums):
 
 
 def one_hit_more(sums):
-    sums["hits"].values[0, 0, 0, 0] += 1
+    sums["count"].values[0, 0, 0, 0] += 1
 
 
 def no_square(sums):
@@ -171,14 +171,14 @@ def no_square(sums):
 
 def more_light_than_came(sums):
     sums["weight"].values *= 2
-    ledger = sums["ledger"].values
+    ledger = sums["energy_budget"].values
     ledger[:, :, ESCAPED] *= 2
     ledger[:, :, ABSORBED] -= ledger[:, :, ESCAPED] // 2
 
 
 def some_light_absorbed(sums):
     """One unit of the weight of single hits, in the fullest bin."""
-    weight, ledger = sums["weight"].values[0, 0], sums["ledger"].values[0, 0]
+    weight, ledger = sums["weight"].values[0, 0], sums["energy_budget"].values[0, 0]
     for order in (0, 1):
         for place in (weight[1, :-1, 0].argmax(), -1):
             weight[order, place, 0] -= 1
@@ -224,7 +224,7 @@ def one_unit_launched(file):
 
 
 def no_hits(file):
-    del file["hits"]
+    del file["count"]
 
 
 @pytest.mark.parametrize("change", [scaled_values, one_unit_launched, no_hits])
@@ -366,8 +366,8 @@ def test_a_sound_reader_sees_what_a_damaged_one_wrote(name, monkeypatch, tmp_pat
 
 
 def test_a_measurement_from_elsewhere_has_no_certificate(tmp_path):
-    path = gonio.save(foreign(), tmp_path / "table.nc")
+    path = gonio.save(external(), tmp_path / "table.nc")
     with pytest.raises(ValueError, match=r"table\.nc comes from another program, without the sums"):
         certify_file(path)
     with pytest.raises(ValueError, match="neither merged nor checked"):
-        certify(foreign())
+        certify(external())

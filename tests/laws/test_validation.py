@@ -35,7 +35,7 @@ def quick(tmp_path_factory, worker_id):
 
 @pytest.mark.parametrize("name", [case.name for case in CASES])
 def test_the_ground_truth_holds(name, quick):
-    wrong = [row for row in quick(name) if row.verdict == "FAILS"]
+    wrong = [row for row in quick(name) if row.outcome == "FAILS"]
     assert not wrong, "\n".join(f"{row.quantity}: {row.measured:.6g} for {row.exact:.6g}" for row in wrong)
     assert all(math.isfinite(row.measured) and row.settings for row in quick(name))
 
@@ -48,14 +48,14 @@ def all_rows(quick):
 
 def test_wrong_forms_are_rejected(quick):
     """Normalisations, proportions of grooves, and V-cavities for a Gaussian surface."""
-    rejected = [row for row in all_rows(quick) if row.verdict == "rejected as it should be"]
+    rejected = [row for row in all_rows(quick) if row.outcome == "rejected as it should be"]
     words = " ".join(row.quantity for row in rejected)
     for form in ("printed_1982", "half", "pi_for_four", "four_for_pi", "true facet area", "equal depth", "V-cavity"):
         assert form in words
 
 
 def test_the_readme_tells_the_outcome(quick):
-    """Rows, settings and verdicts; numbers may differ in their last digits from one processor to another."""
+    """Rows, settings and outcomes; numbers may differ in their last digits from one processor to another."""
     rows = all_rows(quick)
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     told = re.search(r"<!-- gonio validate --quick -->\n(.*?)<!-- end -->", text, flags=re.S)
@@ -79,10 +79,10 @@ def test_the_full_outcome_is_of_these_cases():
 # --- Statistics -------------------------------------------------------------------------------------------------------
 
 
-def verdicts(make, seeds):
+def outcomes(make, seeds):
     """Share of the seeds in which a case of one finding fails."""
-    found = [_rows(Case("toy", lambda _, seed=seed: [make(seed)]), True)[0].verdict for seed in range(seeds)]
-    return np.mean([verdict == "FAILS" for verdict in found])
+    found = [_rows(Case("toy", lambda _, seed=seed: [make(seed)]), True)[0].outcome for seed in range(seeds)]
+    return np.mean([outcome == "FAILS" for outcome in found])
 
 
 def blocks(seed, bins=50, correlation=0.0, shift=0.0):
@@ -96,23 +96,23 @@ def blocks(seed, bins=50, correlation=0.0, shift=0.0):
 @pytest.mark.parametrize("correlation", [0.0, 0.5])
 def test_the_level_is_what_it_is_said_to_be(correlation):
     """1000 cases whose law holds: 10 fail by chance, give or take 3."""
-    lobes = verdicts(lambda seed: _chi2("lobe", "", *blocks(seed, correlation=correlation)), 1000)
-    numbers = verdicts(lambda seed: _t("number", "", blocks(seed, 1)[0][:, 0], 1.0, 0.0), 1000)
+    lobes = outcomes(lambda seed: _chi2("lobe", "", *blocks(seed, correlation=correlation)), 1000)
+    numbers = outcomes(lambda seed: _t("number", "", blocks(seed, 1)[0][:, 0], 1.0, 0.0), 1000)
     assert lobes < 2.5 * LEVEL
     assert 0.2 * LEVEL < numbers < 2.2 * LEVEL
 
 
 def test_a_difference_of_one_standard_error_in_every_bin_is_seen():
     shift = 0.01 / math.sqrt(32)
-    assert verdicts(lambda seed: _chi2("lobe", "", *blocks(seed, shift=2 * shift)), 50) == 1.0
-    assert verdicts(lambda seed: _chi2("lobe", "", *blocks(seed, shift=2 * shift), holds=False), 50) == 0.0
-    assert verdicts(lambda seed: _t("number", "", blocks(seed, 1, shift=6 * shift)[0][:, 0], 1.0, 0.0), 50) > 0.98
+    assert outcomes(lambda seed: _chi2("lobe", "", *blocks(seed, shift=2 * shift)), 50) == 1.0
+    assert outcomes(lambda seed: _chi2("lobe", "", *blocks(seed, shift=2 * shift), holds=False), 50) == 0.0
+    assert outcomes(lambda seed: _t("number", "", blocks(seed, 1, shift=6 * shift)[0][:, 0], 1.0, 0.0), 50) > 0.98
 
 
 def test_a_bound_is_a_bound():
-    for value, verdict in ((1.05, "agrees"), (0.95, "agrees"), (1.2, "FAILS"), (0.8, "FAILS")):
+    for value, outcome in ((1.05, "agrees"), (0.95, "agrees"), (1.2, "FAILS"), (0.8, "FAILS")):
         (row,) = _rows(Case("toy", lambda _, value=value: [_bound("number", "", value, 1.0, 0.1)]), True)
-        assert row.verdict == verdict
+        assert row.outcome == outcome
 
 
 def test_pools_have_enough_paths_and_lose_nothing():

@@ -88,7 +88,7 @@ def test_exr_tells_its_grid_and_where_it_came_from(measurement, tmp_path):
 def test_exr_loads_as_it_was(measurement, tmp_path):
     exported = gonio.export(measurement, tmp_path / "lobe.exr")
     again = gonio.load(exported.path)
-    for name in ("brdf", "standard_error", "albedo"):
+    for name in ("brdf", "brdf_standard_error", "albedo"):
         np.testing.assert_allclose(again.dataset[name], measurement.dataset[name], rtol=1e-7)
     assert again.attributes["title"] == "chiral"
     assert not again.isotropic
@@ -151,7 +151,7 @@ def test_one_azimuth_of_a_grooved_specimen_is_no_function(measurement):
     wi = direction([20.0], [0.0])
     with pytest.raises(ValueError, match="--isotropic"):
         Lobes.of(one).evaluate(wi, wi)
-    assert Lobes.of(one.declared_isotropic()).evaluate(wi, wi).shape == (1, 2)
+    assert Lobes.of(one.as_isotropic()).evaluate(wi, wi).shape == (1, 2)
     known["surface_statistics"] = json.dumps({"rms_slope_x": 0.3, "rms_slope_y": 0.29})
     even = tabulated(table()[:, :1], GRID, THETA_I, [0.0], WAVELENGTHS, attributes=known)
     assert Lobes.of(even).isotropic
@@ -194,7 +194,7 @@ def test_the_suffix_or_the_format_decides(measurement, tmp_path):
 
 def test_formats_that_share_a_suffix_are_told_apart(measurement, tmp_path):
     """.bsdf is RGL's and Zemax's."""
-    one = measurement.declared_isotropic()
+    one = measurement.as_isotropic()
     for name, origin in (("rgl", "RGL"), ("zemax", "Zemax")):
         path = gonio.export(one, tmp_path / f"{name}.bsdf", name).path
         assert gonio.load(path).attributes["origin"].startswith(origin)

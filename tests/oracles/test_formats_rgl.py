@@ -236,7 +236,7 @@ def test_the_container_is_what_mitsuba_reads(files, capsys):
     assert (read["luminance"] > 0).all()
 
 
-def foreign(seed, phi_i, colours=3, jacobian=1, **shapes):
+def external(seed, phi_i, colours=3, jacobian=1, **shapes):
     """Fields of a file that somebody else could have written, of smooth random numbers."""
     rng = np.random.default_rng(seed)
     sizes = {"theta": 5, "rows": 9, "columns": 12, "count": 7, **shapes}
@@ -278,7 +278,7 @@ def test_files_of_others_are_read_as_mitsuba_reads_them(tmp_path, capsys, phi_i,
     mitsuba("scalar_rgb")
     from mitsuba import tensor_io
 
-    fields, path = foreign(3, phi_i, **more), tmp_path / "other.bsdf"
+    fields, path = external(3, phi_i, **more), tmp_path / "other.bsdf"
     tensor_io.write(str(path), **fields)
     assert capsys.readouterr().out.startswith("Wrote")
     source, (wi, wo) = rgl.read(path), pairs(seed=4, quarter=len(phi_i) <= 2)
@@ -298,7 +298,7 @@ def test_reductions_stand_for_a_full_circle(tmp_path):
     ):
         path = tmp_path / f"{quarters}.bsdf"
         with path.open("wb") as file:
-            rgl._store(file, foreign(3, np.radians(phi_i)))
+            rgl._store(file, external(3, np.radians(phi_i)))
         read = rgl.read(path)
         np.testing.assert_allclose(read.phi_i, np.arange(0.0, 360.0, 45.0))
         measured = read.sampled(read.theta_i, read.phi_i, HemisphereGrid(theta_step=15.0, phi_step=30.0), nodes=1)
@@ -403,7 +403,7 @@ def valid(tmp_path_factory):
     """The bytes of a small file."""
     path = tmp_path_factory.mktemp("small") / "small.bsdf"
     with path.open("wb") as file:
-        rgl._store(file, foreign(1, [0.0], theta=2, rows=3, columns=3, count=2, colours=4))
+        rgl._store(file, external(1, [0.0], theta=2, rows=3, columns=3, count=2, colours=4))
     return path.read_bytes()
 
 
@@ -443,7 +443,7 @@ def test_truncated_files(valid, tmp_path, length):
     ],
 )
 def test_fields_that_make_no_brdf(tmp_path, change, message):
-    fields = {**foreign(1, [0.0], theta=2, rows=3, columns=3, count=2, colours=4), **change}
+    fields = {**external(1, [0.0], theta=2, rows=3, columns=3, count=2, colours=4), **change}
     with (tmp_path / "a.bsdf").open("wb") as file:
         rgl._store(file, fields)
     with pytest.raises(ValueError, match=message):
@@ -451,7 +451,7 @@ def test_fields_that_make_no_brdf(tmp_path, change, message):
 
 
 def test_a_missing_field_or_an_odd_circle(tmp_path):
-    fields = foreign(1, np.linspace(-np.pi, -np.pi / 3, 4))
+    fields = external(1, np.linspace(-np.pi, -np.pi / 3, 4))
     for change, message in (({}, "a circle / 3"), ({"sigma": None}, "no field 'sigma'")):
         kept = {name: table for name, table in {**fields, **change}.items() if table is not None}
         with (tmp_path / "a.bsdf").open("wb") as file:

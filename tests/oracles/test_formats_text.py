@@ -220,9 +220,9 @@ def test_lists_of_bins_come_back_exactly(name, source, tmp_path):
     for axis in ("theta_i", "theta_o", "dphi", "wavelength"):
         np.testing.assert_allclose(theirs[axis], ours[axis], rtol=0, atol=1e-12)
     if name in ("csv", "bird"):
-        np.testing.assert_array_equal(theirs["standard_error"].values, ours["standard_error"].values)
+        np.testing.assert_array_equal(theirs["brdf_standard_error"].values, ours["brdf_standard_error"].values)
     else:
-        assert theirs["standard_error"].isnull().all()
+        assert theirs["brdf_standard_error"].isnull().all()
 
 
 @pytest.mark.parametrize("name", LISTS)
@@ -496,7 +496,7 @@ def test_interpolated_lists_keep_their_errors():
     table = listed((20, 50), (0,), np.arange(0, 91, 7.5), np.arange(0, 360, 20.0), chiral_550)
     lobes = dataclasses.replace(table, standard_error=0.02 * table.brdf).lobes()
     data = lobes.measured().dataset
-    np.testing.assert_allclose(data["standard_error"], 0.02 * data["brdf"], rtol=1e-9)
+    np.testing.assert_allclose(data["brdf_standard_error"], 0.02 * data["brdf"], rtol=1e-9)
 
 
 # --- CSV -------------------------------------------------------------------------------------------------------------
@@ -509,7 +509,7 @@ def test_pandas_reads_the_csv_with_its_column_names(tmp_path):
     frame = pandas.read_csv(path, comment="#")
     assert list(frame) == [*table_csv.COLUMNS]
     wide = frame.set_index(["theta_i", "phi_i", "theta_o", "dphi", "wavelength"])
-    for name in ("brdf", "standard_error"):
+    for name in ("brdf", "brdf_standard_error"):
         ours = lobes.measured().dataset[name].sel(order="all")
         # Before pandas 3.1 its numbers are those of the file to eleven digits.
         np.testing.assert_allclose(wide[name].to_xarray().transpose(*ours.dims), ours, rtol=1e-11)
@@ -520,13 +520,13 @@ def test_the_csv_counts_hits_and_tells_where_it_came_from(tmp_path):
     source = measured()
     hits = np.arange(len(THETA_I) * GRID.bins).reshape(1, len(THETA_I), 1, *GRID.shape)
     dims = ("order", "theta_i", "phi_i", "theta_o", "dphi")
-    counted = dataclasses.replace(source, foreign=source.foreign.assign(hits=(dims, hits)))
+    counted = dataclasses.replace(source, external=source.external.assign(hits=(dims, hits)))
     about = dataclasses.replace(
         counted, attributes={**source.attributes, "title": "two\nlines", "experiment": '{"seed": 7}'}
     )
     table_csv.write(Lobes.of(about), path)
     frame = pandas.read_csv(path, comment="#")
-    np.testing.assert_array_equal(frame["hits"], np.repeat(hits.ravel(), len(WAVELENGTHS)))
+    np.testing.assert_array_equal(frame["count"], np.repeat(hits.ravel(), len(WAVELENGTHS)))
     back = table_csv.read(path)
     assert (back.title, back.attributes["experiment"]) == ("two lines", '{"seed": 7}')
     assert path.read_text().startswith("# two lines\n")
@@ -670,7 +670,7 @@ def test_bird_files_of_laboratories(tmp_path):
     np.testing.assert_allclose(found[:, 0], [0.325, 0.525, 0.6], rtol=1e-9)
     data = lobes.measured().dataset.sel(order="all", theta_o=20.0).isel(theta_i=0, phi_i=0, wavelength=0)
     # An average from 15 degrees on, beyond which nothing changes after 20.
-    np.testing.assert_allclose(data["standard_error"].sel(dphi=180), 0.03 * 0.6, rtol=0.1)
+    np.testing.assert_allclose(data["brdf_standard_error"].sel(dphi=180), 0.03 * 0.6, rtol=0.1)
 
 
 def test_bird_uncertainties_polarisations_and_what_is_refused(tmp_path):
@@ -678,7 +678,7 @@ def test_bird_uncertainties_polarisations_and_what_is_refused(tmp_path):
     values = [0.3, 0.35, 0.4, 0.3, 0.45, 0.6]
     single = {"unit": "1/sr", "values": values, "uncertainty": {"value": 0.02, "unit": "1/sr"}}
     data = bird.read(bird_file(path, uBRDF=None, BRDF=single)).measured().dataset
-    assert np.nanmax(data["standard_error"]) == pytest.approx(0.02)
+    assert np.nanmax(data["brdf_standard_error"]) == pytest.approx(0.02)
     # Two polarisations of the light, one below the other.
     names = ("wavelength_i", "theta_i", "phi_i", "theta_r", "phi_r")
     plain = json.loads(bird_file(path).read_text())["data"]
@@ -701,10 +701,10 @@ def test_bird_uncertainties_polarisations_and_what_is_refused(tmp_path):
 def test_negative_values_and_missing_errors_are_told(tmp_path):
     path = tmp_path / "lobe.json"
     source = measured()
-    data = source.foreign.copy(deep=True)
+    data = source.external.copy(deep=True)
     data["brdf"][0, 0, 0, 0, 0, 0] = -1.0
-    data["standard_error"][0, 0, 0, 3, 0, 0] = np.nan
-    notes = bird.write(Lobes.of(dataclasses.replace(source, foreign=data)), path)
+    data["brdf_standard_error"][0, 0, 0, 3, 0, 0] = np.nan
+    notes = bird.write(Lobes.of(dataclasses.replace(source, external=data)), path)
     content = json.loads(path.read_text())
     assert "negative" in notes[0]
     assert "uBRDF" not in content["data"]
@@ -960,8 +960,8 @@ def test_only_what_exceeds_the_noise_makes_a_lobe_asymmetrical(coarse, tmp_path)
     noise = np.random.default_rng(0).standard_normal(data["brdf"].shape)
     data["brdf"] = data["brdf"] * (1 + 0.3 * noise)
     for known, symmetry in ((0.3, "PlaneSymmetrical"), (np.nan, "Asymmetrical")):
-        data["standard_error"] = data["brdf"] * known
-        notes = zemax.write(Lobes.of(dataclasses.replace(clean, foreign=data)), path)
+        data["brdf_standard_error"] = data["brdf"] * known
+        notes = zemax.write(Lobes.of(dataclasses.replace(clean, external=data)), path)
         assert Zemax(path).word["Symmetry"] == symmetry
         assert "% of the energy" in " ".join(notes)
 

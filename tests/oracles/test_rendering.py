@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import gonio
-from gonio import appearance, render
+from gonio import appearance, rendering
 from gonio.cli import main
 from gonio.detectors import HemisphereGrid
 from gonio.models import Beckmann, Lambert, Microfacet, SmithCorrelated
@@ -49,7 +49,7 @@ def run(capsys, *tokens):
 def test_in_a_white_furnace_a_ball_sends_its_albedo(name, gold, mitsuba):
     """Of radiance 1 all around a ball sends, on average over its disc, its albedo averaged with sin 2 theta."""
     measurement = gold[0] if name == "gold" else measured(Lambert(reflectance=0.7))
-    image = render.radiances(
+    image = rendering.radiances(
         gold[1] if name == "gold" else measurement, "ball", SIZE, 64, sky=np.ones_like, irradiance=0
     )
     inside = appearance.silhouette(SIZE) == 1
@@ -62,7 +62,7 @@ def test_in_a_white_furnace_a_ball_sends_its_albedo(name, gold, mitsuba):
 
 def test_a_traced_ball_is_the_shaded_one(gold, mitsuba):
     """Nothing is reflected twice by a ball alone: both see the same lamp and the same sky."""
-    traced = render.radiances(gold[1], "ball", SIZE, 256)
+    traced = rendering.radiances(gold[1], "ball", SIZE, 256)
     shaded = appearance.sphere(gold[0], SIZE)
     inside = appearance.silhouette(SIZE) == 1
     assert traced[inside].mean(axis=0) == pytest.approx(shaded[inside].mean(axis=0), rel=0.01)
@@ -79,7 +79,7 @@ def test_the_sky_stands_the_right_way_round(gold, mitsuba):
     def sky(w):
         return 1.0 + w
 
-    traced = render.radiances(gold[1], "ball", SIZE, 256, sky=sky, irradiance=0)
+    traced = rendering.radiances(gold[1], "ball", SIZE, 256, sky=sky, irradiance=0)
     shaded = appearance.sphere(gold[0], SIZE, sky=sky, irradiance=0.0)
     inside = appearance.silhouette(SIZE) == 1
     assert np.abs(traced - shaded)[inside].mean() < 0.03 * shaded[inside].mean()
@@ -88,7 +88,7 @@ def test_the_sky_stands_the_right_way_round(gold, mitsuba):
 
 
 def test_seeds_decide_and_the_floor_has_a_shadow(gold, mitsuba):
-    pictures = [render.radiances(gold[1], "sphere", 32, 32, seed=seed) for seed in (1, 1, 2)]
+    pictures = [rendering.radiances(gold[1], "sphere", 32, 32, seed=seed) for seed in (1, 1, 2)]
     # To the rounding of sums in any order.
     np.testing.assert_allclose(pictures[0], pictures[1], rtol=1e-4)
     assert np.abs(pictures[0] - pictures[2]).mean() > 1e-3
@@ -109,7 +109,7 @@ def test_the_command_writes_pictures(gold, mitsuba, tmp_path, capsys):
     import OpenEXR
 
     pixels = OpenEXR.File(str(tmp_path / "a.exr")).channels()["RGB"].pixels
-    np.testing.assert_allclose(pixels, render.radiances(gold[0], size=16, spp=4), rtol=1e-5)
+    np.testing.assert_allclose(pixels, rendering.radiances(gold[0], size=16, spp=4), rtol=1e-5)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.exr", "a.png", "gold.nc"]
 
 
@@ -118,7 +118,7 @@ def test_spectra_are_turned_into_colours(mitsuba, tmp_path):
         lambda wi, wo: GOLD.eval(wi, wo, [450.0, 550.0, 650.0]), np.array([450.0, 550.0, 650.0]), np.arange(0, 90, 10.0)
     )
     gonio.export(spectrum, tmp_path / "gold.bsdf", "rgl-spectral")
-    image = render.radiances(tmp_path / "gold.bsdf", "ball", 16, 16)
+    image = rendering.radiances(tmp_path / "gold.bsdf", "ball", 16, 16)
     red, _, blue = image[appearance.silhouette(16) == 1].mean(axis=0)
     assert red > 1.3 * blue
 
@@ -162,8 +162,8 @@ def test_without_mitsuba_one_sentence_says_what_to_install(gold, tmp_path, monke
 def test_a_compiler_that_would_end_the_program_is_not_used(program, variant, monkeypatch):
     """Old LLVM libraries abort the process that uses them, as Debian 12's does."""
     chosen = []
-    render._fast_variant_works.cache_clear()
-    monkeypatch.setattr(render, "PROBE", program)
-    render._choose_variant(SimpleNamespace(set_variant=chosen.append))
-    render._fast_variant_works.cache_clear()
+    rendering._fast_variant_works.cache_clear()
+    monkeypatch.setattr(rendering, "PROBE", program)
+    rendering._choose_variant(SimpleNamespace(set_variant=chosen.append))
+    rendering._fast_variant_works.cache_clear()
     assert chosen == [variant]

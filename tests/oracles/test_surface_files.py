@@ -265,8 +265,8 @@ def test_meshes_come_back_through_trimesh_triangle_by_triangle(tmp_path, relief,
         np.testing.assert_allclose(back.vertices[back.faces], mesh.vertices[mesh.faces], rtol=0, atol=0.6e-8)
     else:
         assert np.array_equal(back.vertices[back.faces].astype(np.float32), rounded)
-    foreign = trimesh.load_mesh(str(tmp_path / f"a{suffix}"))
-    np.testing.assert_allclose(foreign.bounds, np.stack([rounded.min((0, 1)), rounded.max((0, 1))]), atol=2e-6)
+    external = trimesh.load_mesh(str(tmp_path / f"a{suffix}"))
+    np.testing.assert_allclose(external.bounds, np.stack([rounded.min((0, 1)), rounded.max((0, 1))]), atol=2e-6)
     assert [file.name for file in tmp_path.iterdir()] == [f"a{suffix}"]
 
 

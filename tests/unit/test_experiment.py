@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import foreign
+from synthetic import external
 
 import gonio
 import microsurfaces as ms
@@ -260,7 +260,7 @@ def test_realisations_are_merged_with_both_noises_and_their_provenance(toy: Path
     assert (dataset["paths"] == 800).all()
     ledger = sum(dataset[fate] for fate in ("escaped", "absorbed", "truncated", "lost"))
     assert (ledger == dataset["launched"]).all()
-    assert not (dataset["standard_error"] == dataset["standard_error_mc"]).all()
+    assert not (dataset["brdf_standard_error"] == dataset["brdf_standard_error_mc"]).all()
     alphas = [experiment.relief(k).statistics().beckmann_alpha for k in range(2)]
     assert measurement.surface_statistics["beckmann_alpha"] == pytest.approx(np.mean(alphas), rel=1e-12)
     assert json.loads(dataset.attrs["experiment"]) == experiment.to_dict()
@@ -344,7 +344,7 @@ def test_a_target_out_of_reach_is_a_sentence(toy: Path) -> None:
 
 
 def test_models_for_a_measurement_from_elsewhere_must_be_told_what_it_is_made_of() -> None:
-    measurement = foreign()
+    measurement = external()
     assert models_for(measurement) == ()
     gold = gonio.CookTorrance(m=0.3, material=gonio.Conductor("Au"))
     assert models_for(measurement, ["cook-torrance m=0.3 material.name=Au"]) == (gold,)
@@ -352,5 +352,5 @@ def test_models_for_a_measurement_from_elsewhere_must_be_told_what_it_is_made_of
         models_for(measurement, ["CookTorrance", "Lambert"])
     assert len(caught.value.sentences) == 2
     assert caught.value.sentences[0].startswith("CookTorrance: this measurement does not tell m and material.name")
-    made_of_gold = foreign(attributes={"material": '{"kind": "Conductor", "name": "Au"}'})
+    made_of_gold = external(attributes={"material": '{"kind": "Conductor", "name": "Au"}'})
     assert models_for(made_of_gold, ["cook-torrance m=0.3"]) == (gold,)

@@ -65,7 +65,7 @@ def score(measurement, order, place, exact):
         return (float(data["albedo"]) - exact) / float(data["albedo_standard_error"])
     ring, sector = place
     area = GRID.projected_solid_angles().reshape(GRID.shape)[place]
-    value, error = (float(data[name][ring, sector]) * area for name in ("brdf", "standard_error"))
+    value, error = (float(data[name][ring, sector]) * area for name in ("brdf", "brdf_standard_error"))
     return (value - exact) / error
 
 
@@ -89,7 +89,7 @@ def test_target_error_is_reached():
     data = goniometer.measure(scene).dataset.sel(order="all")
     assert (data["replicates"] > goniometer.replicates).all()
     light = data["brdf"] * data["projected_solid_angle"]
-    good = data["standard_error_mc"] < 0.02 * data["brdf"]
+    good = data["brdf_standard_error_mc"] < 0.02 * data["brdf"]
     share = light.where(good).sum(("theta_o", "dphi")) / light.sum(("theta_o", "dphi"))
     assert (share > 0.45).all(), "half of the light should be in bins with less error than asked for"
 
@@ -108,7 +108,7 @@ def test_launched_paths_are_those_asked_for_rounded_up_to_whole_replicates():
     scene = Scene(ms.Flat().build(0), optics.Mirror())
     measurement = Goniometer(paths=1001, replicates=10, detector=GRID, wavelengths=(550,)).measure(scene)
     assert int(measurement.sums["paths"].item()) == 1010
-    assert int(measurement.sums["ledger"].sel(fate="launched").item()) == 1010 * UNIT
+    assert int(measurement.sums["energy_budget"].sel(termination="launched").item()) == 1010 * UNIT
 
 
 def test_ctrl_c_keeps_the_incidences_already_measured():
@@ -215,9 +215,9 @@ def test_klems_matrices_are_reciprocal():
     data = instrument.measure(Scene(relief, optics.Conductor("Au"))).dataset.sel(order="all")
     chosen = [dict(zip(("theta_i", "phi_i"), at, strict=True)) for at in detector.directions]
     matrix, error = (
-        np.stack([data[name].sel(**at).values[:, 0] for at in chosen]) for name in ("brdf", "standard_error")
+        np.stack([data[name].sel(**at).values[:, 0] for at in chosen]) for name in ("brdf", "brdf_standard_error")
     )
-    hits = np.stack([data["hits"].sel(**at).values for at in chosen])
+    hits = np.stack([data["count"].sel(**at).values for at in chosen])
     upper = np.triu((hits >= 30) & (hits.T >= 30), 1)
     assert upper.sum() > 500
     z = (matrix - matrix.T)[upper] / np.hypot(error, error.T)[upper]
@@ -233,7 +233,9 @@ def test_klems_patches_see_a_diffuser_as_it_is():
     data = Goniometer(paths=20_000, wavelengths=(550,), detector=Klems("quarter")).measure(scene).dataset
     lit = data["brdf"].sel(order="all").where(data["paths"] > 0).stack(incidence=("theta_i", "phi_i"))
     lobe = lit.dropna("incidence").values
-    error = data["standard_error"].sel(order="all").stack(incidence=("theta_i", "phi_i")).dropna("incidence").values
+    error = (
+        data["brdf_standard_error"].sel(order="all").stack(incidence=("theta_i", "phi_i")).dropna("incidence").values
+    )
     z = (lobe - 0.5 / np.pi) / error
     assert abs(z.mean()) < 4 / np.sqrt(z.size)
     assert np.abs(z).max() < 8

@@ -10,7 +10,7 @@ import subprocess
 import numpy as np
 import pytest
 import xarray as xr
-from synthetic import TRUTH, foreign
+from synthetic import TRUTH, external
 
 import microsurfaces as ms
 from gonio import optics
@@ -47,7 +47,7 @@ def test_labels_and_units(specimens):
     np.testing.assert_allclose(
         data["brdf"].sel(order="all"), data["brdf"].drop_sel(order="all").sum("order"), rtol=1e-12, atol=1e-15
     )
-    ledger = specimens[0].ledger()
+    ledger = specimens[0].energy_budget()
     np.testing.assert_allclose(sum(ledger[name] for name in ledger), 1.0, rtol=1e-15)
 
 
@@ -57,8 +57,8 @@ def test_a_file_gives_back_the_measurement(tmp_path, specimens):
     assert again.dataset.identical(specimens[0].dataset)
     assert again.sums.identical(specimens[0].sums)
     assert [p.name for p in tmp_path.iterdir()] == ["cu.nc"]
-    with xr.open_dataset(path, engine="h5netcdf") as foreign:
-        np.testing.assert_array_equal(foreign["brdf"].values, specimens[0].dataset["brdf"].values)
+    with xr.open_dataset(path, engine="h5netcdf") as external:
+        np.testing.assert_array_equal(external["brdf"].values, specimens[0].dataset["brdf"].values)
     umask = os.umask(0)
     os.umask(umask)
     assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~umask
@@ -125,7 +125,7 @@ def test_merged_errors_are_the_scatter_between_specimens(specimens):
     np.testing.assert_allclose(merged["albedo_standard_error_mc"].values, mc, rtol=1e-9)
     assert (merged["degrees_of_freedom"] == 2).all()
     assert (merged["degrees_of_freedom_mc"] == 45).all()
-    assert (specimens[0].dataset["standard_error"] == specimens[0].dataset["standard_error_mc"]).all()
+    assert (specimens[0].dataset["brdf_standard_error"] == specimens[0].dataset["brdf_standard_error_mc"]).all()
 
 
 def test_merging_refuses_another_instrument(specimens):
@@ -140,7 +140,7 @@ def test_own_bins_are_the_measured_values(specimens):
 
 
 def test_values_at_bin_centres(specimens):
-    isotropic = specimens[0].declared_isotropic()
+    isotropic = specimens[0].as_isotropic()
     table = isotropic.dataset["brdf"].sel(order="all", phi_i=0)
     centre = direction(35.0, 30.0 + 77.0)
     at_node = isotropic.eval(direction(30, 77), centre)
@@ -158,7 +158,7 @@ def test_a_coarser_detector_sees_averages_of_the_interpolated_lobe(specimens):
 
 def test_what_was_not_measured_is_refused(specimens):
     with pytest.raises(ValueError, match="theta_i = 75 lies outside the measured range 0 to 60 degrees"):
-        specimens[0].declared_isotropic().eval(direction(75, 0), direction(10, 0))
+        specimens[0].as_isotropic().eval(direction(75, 0), direction(10, 0))
     with pytest.raises(ValueError, match="phi_i = 40 lies outside the measured range 0 to 0"):
         specimens[0].eval(direction(30, 40), direction(10, 0))
     apertures = measured(1, detector=Apertures(((20.0, 0.0), (20.0, 180.0)), 3.0))
@@ -172,7 +172,7 @@ def test_apertures_and_grid_agree():
     apertures = Apertures(((0.0, 0.0), (40.0, 100.0), (80.0, 200.0)), half_angle=8.0)
     data = Goniometer(theta_i=(20,), paths=400_000, detector=apertures, wavelengths=(550,)).measure(scene).dataset
     assert data["brdf"].dims == ("order", "theta_i", "phi_i", "detector", "wavelength")
-    score = (data["brdf"] - 0.6 / math.pi) / data["standard_error"]
+    score = (data["brdf"] - 0.6 / math.pi) / data["brdf_standard_error"]
     assert (abs(score.sel(order="all")) < 5).all()
     np.testing.assert_allclose(data["albedo"].sel(order="all"), 0.6, rtol=1e-9)
 
@@ -184,7 +184,7 @@ HOLE = (np.arange(19) > 15)[:, None, None]
 
 def elsewhere(**options):
     known = {"title": "a table", "origin": "MERL file gold.binary", "isotropic": 1, "temperature": 23.5}
-    return foreign(detector=GRID, theta_i=(0.0, 30.0, 60.0), wavelengths=(450.0, 650.0), attributes=known, **options)
+    return external(detector=GRID, theta_i=(0.0, 30.0, 60.0), wavelengths=(450.0, 650.0), attributes=known, **options)
 
 
 @pytest.mark.parametrize(
@@ -205,11 +205,13 @@ def test_a_table_has_the_albedo_of_what_is_known():
     whole, part = elsewhere(noise=0.1), elsewhere(noise=0.1, unknown=HOLE)
     solid = np.where(HOLE[:, 0], 0.0, GRID.projected_solid_angles().reshape(GRID.shape))[..., None]
     for made, area in ((whole, GRID.projected_solid_angles().reshape(*GRID.shape, 1)), (part, solid)):
-        brdf, error = (made.dataset[name].sel(order="all").fillna(0.0).values for name in ("brdf", "standard_error"))
+        brdf, error = (
+            made.dataset[name].sel(order="all").fillna(0.0).values for name in ("brdf", "brdf_standard_error")
+        )
         np.testing.assert_allclose(made.albedo()["albedo"], (brdf * area).sum(axis=(2, 3)), rtol=1e-12)
         expected = np.sqrt(((error * area) ** 2).sum(axis=(2, 3)))
-        np.testing.assert_allclose(made.albedo()["standard_error"], expected, rtol=1e-12)
-    assert elsewhere().albedo()["standard_error"].isnull().all()
+        np.testing.assert_allclose(made.albedo()["albedo_standard_error"], expected, rtol=1e-12)
+    assert elsewhere().albedo()["albedo_standard_error"].isnull().all()
 
 
 def test_an_incidence_of_which_nothing_is_known_was_not_measured():
@@ -239,10 +241,10 @@ def test_what_is_known_of_a_specimen_elsewhere():
     assert made.surface is None
     assert made.facets is None
     assert made.surface_statistics == {}
-    told = foreign(attributes={"material": '{"kind": "Conductor", "name": "Au"}', "surface_statistics": '{"Sq": 1.0}'})
+    told = external(attributes={"material": '{"kind": "Conductor", "name": "Au"}', "surface_statistics": '{"Sq": 1.0}'})
     assert told.material == optics.Conductor("Au")
     assert told.surface_statistics == {"Sq": 1.0}
-    assert foreign(attributes={"material": "brushed steel"}).material is None
+    assert external(attributes={"material": "brushed steel"}).material is None
 
 
 def test_what_nobody_counted_is_refused_in_a_sentence(specimens):
@@ -251,19 +253,19 @@ def test_what_nobody_counted_is_refused_in_a_sentence(specimens):
         with pytest.raises(ValueError, match="comes from another program's file, without the sums"):
             one.merge(other)
     with pytest.raises(ValueError, match="keeps no ledger"):
-        made.ledger()
+        made.energy_budget()
 
 
 def test_channels_have_names():
     assert elsewhere().channels == ("450 nm", "650 nm")
     for basis, names in (("RGB", ("R", "G", "B")), ("XYZ", ("X", "Y", "Z"))):
-        assert foreign(wavelengths=(600.0, 550.0, 450.0), attributes={"basis": basis}).channels == names
-    assert foreign(attributes={"basis": "Y"}).channels == ("Y",)
-    assert foreign(attributes={"basis": "spectrum"}).channels == ("550 nm",)
-    assert foreign(attributes={"basis": "RGB"}).channels == ("550 nm",)
+        assert external(wavelengths=(600.0, 550.0, 450.0), attributes={"basis": basis}).channels == names
+    assert external(attributes={"basis": "Y"}).channels == ("Y",)
+    assert external(attributes={"basis": "spectrum"}).channels == ("550 nm",)
+    assert external(attributes={"basis": "RGB"}).channels == ("550 nm",)
 
 
-@pytest.mark.parametrize("damage", ["brdf", "standard_error", "theta_o", "detector"])
+@pytest.mark.parametrize("damage", ["brdf", "brdf_standard_error", "theta_o", "detector"])
 def test_a_damaged_table_is_refused_in_a_sentence(tmp_path, damage):
     made = elsewhere()
     if damage == "detector":

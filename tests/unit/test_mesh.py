@@ -86,13 +86,13 @@ def test_what_overhangs_has_no_height_parameters():
 
 def test_trimesh_agrees_on_areas_and_normals_and_gives_the_mesh_back():
     mesh = ms.Gaussian(alpha=0.4, side=100.0, correlation_length=10.0, samples=40).build(5).mesh()
-    foreign = mesh.to_trimesh()
-    np.testing.assert_allclose(foreign.area_faces, mesh.areas(), rtol=1e-12)
-    np.testing.assert_allclose(foreign.face_normals, mesh.normals(), atol=1e-13)
-    back = Mesh.from_trimesh(foreign, mesh.period)
+    external = mesh.to_trimesh()
+    np.testing.assert_allclose(external.area_faces, mesh.areas(), rtol=1e-12)
+    np.testing.assert_allclose(external.face_normals, mesh.normals(), atol=1e-13)
+    back = Mesh.from_trimesh(external, mesh.period)
     assert np.array_equal(back.vertices, mesh.vertices)
     assert np.array_equal(back.faces, mesh.faces)
-    assert foreign.metadata["period"] == mesh.period
+    assert external.metadata["period"] == mesh.period
 
 
 def test_blocks_of_faces_change_nothing(monkeypatch):

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 from pictures import GRID, from_function, measured, pixels, where, words_of
-from synthetic import TRUTH, foreign
+from synthetic import TRUTH, external
 
 import gonio
 from gonio import plots
@@ -150,7 +150,7 @@ TABLES = [{}, {"noise": 0.05}, {"noise": 0.05, "unknown": GRID.theta[:, None, No
 @pytest.mark.parametrize("options", TABLES, ids=["exact", "errors", "holes"])
 @pytest.mark.parametrize("kind", [*KINDS, plots.difference])
 def test_every_kind_draws_a_measurement_from_elsewhere(kind, options, tmp_path):
-    made = foreign(detector=GRID, theta_i=(10.0, 50.0), wavelengths=(450.0, 650.0), **options)
+    made = external(detector=GRID, theta_i=(10.0, 50.0), wavelengths=(450.0, 650.0), **options)
     model = CookTorrance(m=0.4, material=gonio.Conductor("Au"))
     further = (compare(made, model),) if kind is plots.difference else ()
     picture = pixels(kind(made, *further, tmp_path / "picture.png"))
@@ -159,18 +159,18 @@ def test_every_kind_draws_a_measurement_from_elsewhere(kind, options, tmp_path):
     assert {2 * c // picture.shape[1] for c in columns} == {0, 1}
     if kind in (plots.hemisphere, plots.difference):
         assert (picture.shape[0] > 900) == ("noise" in options)
-    nothing = foreign(detector=GRID, unknown=True)
+    nothing = external(detector=GRID, unknown=True)
     if not further:
         with pytest.raises(ValueError, match="nothing to draw"):
             kind(nothing, tmp_path / "nothing.png")
 
 
 def test_channels_of_a_colour_are_called_by_their_names(monkeypatch):
-    made = foreign(detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"})
-    verdict = compare(made, TRUTH)
+    made = external(detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"})
+    comparison = compare(made, TRUTH)
     words = words_of(lambda: plots.slices(made, "x.png"), monkeypatch)
     assert {"R", "G", "B"} < set(words)
-    for draw in (plots.lobes, plots.hemisphere, lambda m, path: plots.difference(m, verdict, path)):
+    for draw in (plots.lobes, plots.hemisphere, lambda m, path: plots.difference(m, comparison, path)):
         title = " ".join(words_of(lambda draw=draw: draw(made, "x.png"), monkeypatch))
         assert "channel G" in title
         assert "nm" not in title
@@ -179,22 +179,24 @@ def test_channels_of_a_colour_are_called_by_their_names(monkeypatch):
 def test_what_nobody_counted_is_not_spoken_of(monkeypatch):
     """No hits, no orders, and standard errors only where there are some."""
     for noise in (None, 0.05):
-        made = foreign(detector=GRID, noise=noise)
+        made = external(detector=GRID, noise=noise)
         words = words_of(lambda made=made: plots.slices(made, "x.png"), monkeypatch)
         assert ("± 2 standard errors" in words) == (noise is not None)
         words += words_of(lambda made=made: plots.hemisphere(made, "x.png"), monkeypatch)
-        assert not any("hits" in text or "orders" in text for text in words)
+        assert not any("count" in text or "orders" in text for text in words)
         assert ("relative standard error (%)" in words) == (noise is not None)
 
 
 def test_a_slice_averages_the_bins_that_are_known():
     """Near the pole several sectors lie in the plane: the value is the mean of those that are known."""
     grid = HemisphereGrid(theta_step=2.0, phi_step=10.0)
-    made = foreign(Lambert(0.5), noise=0.1, detector=grid, unknown=((grid.dphi % 20 > 0) | (grid.dphi == 180))[:, None])
+    made = external(
+        Lambert(0.5), noise=0.1, detector=grid, unknown=((grid.dphi % 20 > 0) | (grid.dphi == 180))[:, None]
+    )
     (incidence,), _ = style.choose_incidences(made)
     cut = Cut.of(made, incidence)
     value, error = cut.read(incidence.data, "all", 550.0)
-    brdf, errors = (incidence.data[name].sel(order="all").values[..., 0] for name in ("brdf", "standard_error"))
+    brdf, errors = (incidence.data[name].sel(order="all").values[..., 0] for name in ("brdf", "brdf_standard_error"))
     # 0 and 20 degrees on the lamp's side; of the mirror's only 160 and 200.
     lamp, mirror = (np.flatnonzero(np.isin(grid.dphi, some)) for some in ((340, 0, 20), (160, 200)))
     np.testing.assert_allclose(value[cut.angle == -2], brdf[1, lamp].mean(), rtol=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from pictures import GRID, measured, pixels, where
-from synthetic import foreign
+from synthetic import external
 
 import gonio
 from gonio import plots
@@ -77,7 +77,7 @@ def test_slices_show_the_light_that_was_fitted_with_two_standard_errors(measurem
     assert [panel.get_title() for panel in above] == [rf"$\theta_i$ = {theta}°, $\phi_i$ = 0°" for theta in (0, 40, 60)]
     ends = bars(above[1])
     ends = ends[(ends[:, 0, 0] >= 20) & (ends[:, 0, 0] <= 80)]
-    once, error = (brdf(measurement, "1", name) for name in ("brdf", "standard_error"))
+    once, error = (brdf(measurement, "1", name) for name in ("brdf", "brdf_standard_error"))
     np.testing.assert_allclose(ends[:, :, 1].mean(axis=1), once, rtol=1e-12)
     np.testing.assert_allclose(np.diff(ends[:, :, 1], axis=1)[:, 0], 4 * error, rtol=1e-9)
     assert (brdf(measurement, "all") > once).any()
@@ -158,7 +158,7 @@ def test_a_parameter_at_its_limit_has_no_interval(measurement, found, drawn):
 
 
 def test_what_comes_from_elsewhere_has_its_channels_and_no_facets(drawn):
-    colours = foreign(Lambert(0.5), detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"})
+    colours = external(Lambert(0.5), detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"})
     figure = drawn(colours, [fit(colours, Lambert(0.4))])
     assert "Lambert fitted to all light; lamp at 30°; R, G and B; drawn: channel G" in figure.get_suptitle()
     told = " ".join(words(figure))

@@ -13,7 +13,7 @@ import trimesh
 from matplotlib.colors import to_rgb
 from pictures import GRID, from_function, measured, pixels, where
 from PIL import Image
-from synthetic import foreign
+from synthetic import external
 
 import gonio
 import microsurfaces as ms
@@ -131,7 +131,7 @@ def test_a_lobe_has_a_hole_where_nothing_is_known(rendered, tmp_path, monkeypatc
     monkeypatch.setattr(style, "can_render", lambda: rendered)
     counts = []
     for unknown in (False, GRID.dphi % 180 > 0):
-        made = foreign(Lambert(0.5), detector=GRID, unknown=np.reshape(unknown, (-1, 1)))
+        made = external(Lambert(0.5), detector=GRID, unknown=np.reshape(unknown, (-1, 1)))
         picture = pixels(plots.lobes(made, tmp_path / "lobes.png"))[:, :700]
         red, green, blue = np.moveaxis(picture, -1, 0)
         counts.append(((green > red + 40) & (green > 0.8 * blue)).sum())
@@ -177,7 +177,7 @@ def test_overlaid_lobes_share_a_panel(orders, seen):
 def test_a_model_stands_beside_what_it_describes(orders, seen):
     """Half of what was measured: everywhere -50 %, the darkest blue; the radius is that of the measured lobe."""
     albedo = 0.6
-    made = foreign(Lambert(albedo), detector=GRID, theta_i=(30.0,))
+    made = external(Lambert(albedo), detector=GRID, theta_i=(30.0,))
     plots.lobes(made, "x.png", models=[Lambert(albedo / 2)])
     ours, theirs, difference = seen
     np.testing.assert_allclose(theirs.shells[0].value, ours.shells[0].value / 2, rtol=1e-9)
@@ -197,13 +197,13 @@ def test_a_model_stands_beside_what_it_describes(orders, seen):
 
 def test_true_colours_are_those_of_the_albedo(seen):
     """A grey that reflects a half is grey, 188 of 255 on a screen, in every direction; its luminance is the radius."""
-    made = foreign(Lambert(0.5), detector=GRID, wavelengths=(450.0, 550.0, 650.0))
+    made = external(Lambert(0.5), detector=GRID, wavelengths=(450.0, 550.0, 650.0))
     plots.lobes(made, "x.png", true_colour=True)
     (shell,) = seen[0].shells
     np.testing.assert_allclose(255 * shell.paint[:-1], 188, atol=0.6)
     np.testing.assert_allclose(shell.value[0], 0.5 / np.pi, rtol=0.01)
     seen.clear()
-    red = foreign(Lambert(0.5), detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"})
+    red = external(Lambert(0.5), detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"})
     red.foreign["brdf"][..., 1:] = 0.0
     plots.lobes(red, "x.png", true_colour=True)
     paint = seen[0].shells[0].paint[:-1]
@@ -227,7 +227,7 @@ def test_what_cannot_go_together_is_told(orders, options, words, tmp_path):
 
 
 def test_what_is_not_known_is_told():
-    made = foreign(detector=GRID)
+    made = external(detector=GRID)
     with pytest.raises(ValueError, match="does not tell the orders"):
         plots.lobes(made, "x.png", orders=True)
     with pytest.raises(ValueError, match="three wavelengths or more, and this measurement has 1"):
@@ -269,7 +269,7 @@ def test_the_ground_is_drawn_under_the_lobe(rendered, tmp_path, monkeypatch):
     if rendered and not style.can_render():
         pytest.skip("no GL library for VTK")
     monkeypatch.setattr(style, "can_render", lambda: rendered)
-    made = foreign(Lambert(0.5), detector=GRID)
+    made = external(Lambert(0.5), detector=GRID)
     flat = ms.HeightField(np.zeros((64, 64)), (1.0, 1.0))
     bare, laid = (
         pixels(plots.lobes(made, tmp_path / f"{k}.png", ground=ground)) for k, ground in enumerate((None, flat))
@@ -286,7 +286,7 @@ def test_the_ground_is_drawn_under_the_lobe(rendered, tmp_path, monkeypatch):
 @pytest.mark.parametrize("suffix", [".vtp", ".glb", ".gltf"])
 def test_lobes_for_other_programs_have_their_size_and_colours(suffix, tmp_path):
     """Two Lambertian lobes, spheres of diameter 1, stand side by side; those at 1/sr's peak are yellow."""
-    made = foreign(Lambert(0.5), detector=HemisphereGrid(theta_step=2.0, phi_step=3.0), theta_i=(0.0, 60.0))
+    made = external(Lambert(0.5), detector=HemisphereGrid(theta_step=2.0, phi_step=3.0), theta_i=(0.0, 60.0))
     path = plots.lobes(made, tmp_path / f"lobes{suffix}")
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     if suffix == ".vtp":
@@ -315,7 +315,7 @@ def test_a_film_goes_forth_and_back_and_says_that_it_is_interpolated(tmp_path, m
     lobes = sys.modules["gonio.plots.lobes"]
     monkeypatch.setattr(lobes, "FRAMES", 3)
     monkeypatch.setattr(style, "can_render", lambda: False)
-    made = foreign(Lambert(0.5), detector=GRID, theta_i=(10.0, 60.0)).declared_isotropic()
+    made = external(Lambert(0.5), detector=GRID, theta_i=(10.0, 60.0)).as_isotropic()
     texts = []
     head = lobes.headline
     monkeypatch.setattr(lobes, "headline", lambda *words: (texts.append(words), head(*words)))
@@ -335,7 +335,7 @@ def test_a_film_goes_forth_and_back_and_says_that_it_is_interpolated(tmp_path, m
 def test_a_film_for_slides_is_an_mp4_of_even_size(tmp_path, monkeypatch):
     monkeypatch.setattr(sys.modules["gonio.plots.lobes"], "FRAMES", 2)
     monkeypatch.setattr(style, "can_render", lambda: False)
-    made = foreign(Lambert(0.5), detector=GRID, theta_i=(10.0, 60.0)).declared_isotropic()
+    made = external(Lambert(0.5), detector=GRID, theta_i=(10.0, 60.0)).as_isotropic()
     path = plots.lobes(made, tmp_path / "lobes.mp4")
     assert path.read_bytes()[4:8] == b"ftyp"
     words = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", str(path), str(tmp_path / "%d.png")]
@@ -352,12 +352,12 @@ def test_without_the_library_a_film_says_what_to_install(monkeypatch):
 
     monkeypatch.setattr("gonio.plots.lobe_files.import_module", missing)
     with pytest.raises(ValueError, match=r"without imageio.*gonio\[report\]"):
-        plots.lobes(foreign(detector=GRID, theta_i=(0.0, 30.0)), "x.mp4")
+        plots.lobes(external(detector=GRID, theta_i=(0.0, 30.0)), "x.mp4")
 
 
 def test_vectors_are_vectors(tmp_path):
     """No picture within, and as many filled facets as the lobe has."""
-    made = foreign(Lambert(0.5), detector=GRID)
+    made = external(Lambert(0.5), detector=GRID)
     text = plots.lobes(made, tmp_path / "lobes.svg").read_text()
     assert text.count("<image") <= 1  # the colour bar
     assert text.count("<path") > 5000
@@ -367,7 +367,7 @@ def test_a_window_needs_a_screen(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(RuntimeError, match="no screen"):
-        plots.lobes(foreign(detector=GRID), tmp_path / "lobes.vtp", show=True)
+        plots.lobes(external(detector=GRID), tmp_path / "lobes.vtp", show=True)
     assert (tmp_path / "lobes.vtp").exists()
 
 
@@ -389,7 +389,7 @@ def test_a_window_shows_all_of_every_lobe(tmp_path, monkeypatch):
     monkeypatch.setattr(pyvista, "OFF_SCREEN", True)
     monkeypatch.setattr(pyvista.Plotter, "show", lambda self: shown.append(self))
     monkeypatch.setattr(style, "can_render", lambda: False)
-    made = foreign(Lambert(0.5), detector=GRID, theta_i=(0.0, 30.0, 60.0))
+    made = external(Lambert(0.5), detector=GRID, theta_i=(0.0, 30.0, 60.0))
     plots.lobes(made, tmp_path / "x.png", show=True)
     (window,) = shown
     width, height = window.window_size

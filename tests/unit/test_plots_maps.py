@@ -9,7 +9,7 @@ from matplotlib import colormaps
 from matplotlib import colors as colours
 from matplotlib.contour import QuadContourSet
 from pictures import GRID, from_function, measured, pixels, where, words_of
-from synthetic import foreign
+from synthetic import external
 
 import gonio
 from gonio import plots
@@ -33,7 +33,7 @@ def test_maps_are_seen_from_above_with_the_lamp_left(tmp_path):
 
 def test_bins_without_light_or_with_little_are_blank():
     made = from_function(lambda t, p: (t < 45) * 0.3)
-    made.dataset["hits"][..., :3, :] = 9
+    made.dataset["count"][..., :3, :] = 9
     shown = _Map.of(made.dataset.isel(theta_i=0, phi_i=0), 550.0)
     np.testing.assert_array_equal(np.isnan(shown.value).all(axis=1), GRID.theta >= 45)
     np.testing.assert_array_equal(np.isnan(shown.error).all(axis=1), (GRID.theta >= 45) | (np.arange(19) < 3))
@@ -53,8 +53,8 @@ def test_a_map_of_differences_is_red_where_the_model_is_too_bright(tmp_path):
         },
         {name: measured[name].values for name in dims},
     )
-    verdict = SimpleNamespace(lobes=lobes, order="1", model=Lambert(0.5))
-    picture = pixels(plots.difference(measurement, verdict, tmp_path / "map.png"))
+    comparison = SimpleNamespace(lobes=lobes, order="1", model=Lambert(0.5))
+    picture = pixels(plots.difference(measurement, comparison, tmp_path / "map.png"))
     maps = picture[:, : int(0.65 * picture.shape[1])]  # the colour bars are on the right
     bright, dark = (where(maps, colours.to_hex(colormaps["RdBu_r"](share)), 25)[0] for share in (0.9, 0.1))
     assert min(len(bright), len(dark)) > 5000
@@ -134,7 +134,7 @@ def test_curves_of_the_albedo_are_the_albedo_with_its_errors(monkeypatch):
 
 def test_models_have_their_albedo(monkeypatch):
     """A Lambertian's is what it is called, at every angle."""
-    made = foreign(Lambert(0.5), detector=GRID, theta_i=(10.0, 50.0), wavelengths=(450.0, 650.0))
+    made = external(Lambert(0.5), detector=GRID, theta_i=(10.0, 50.0), wavelengths=(450.0, 650.0))
     figure = drawn_by(lambda: plots.albedo(made, "x.png", models=[Lambert(0.3)]), monkeypatch)
     panel = figure.axes[0]
     for curve in curves_of(panel):
@@ -160,9 +160,9 @@ def test_albedo_is_drawn_of_every_detector(detector, tmp_path):
 
 def test_albedo_of_what_nobody_counted_has_no_orders(monkeypatch):
     for noise in (None, 0.05):
-        made = foreign(detector=GRID, noise=noise, theta_i=(10.0, 50.0))
+        made = external(detector=GRID, noise=noise, theta_i=(10.0, 50.0))
         words = words_of(lambda made=made: plots.albedo(made, "x.png"), monkeypatch)
         assert not any("hit" in text or "order" in text for text in words)
         assert ("± 2 standard errors" in words) == (noise is not None)
     with pytest.raises(ValueError, match="nothing to draw"):
-        plots.albedo(foreign(detector=GRID, unknown=True), "x.png")
+        plots.albedo(external(detector=GRID, unknown=True), "x.png")

@@ -23,7 +23,7 @@ def test_squares_and_scatter_are_exact(rows):
     assert exact(squares) == expected
 
     total = values.sum(axis=0)
-    scatter = squares.scatter(total, len(rows))
+    scatter = squares.squared_deviations(total, len(rows))
     assert exact(scatter) == [len(rows) * q - int(t) ** 2 for q, t in zip(expected, total, strict=True)]
     np.testing.assert_allclose(scatter.floats(), [float(x) for x in exact(scatter)], rtol=1e-15)
 
