@@ -27,7 +27,7 @@ import test_formats_rgl as rgl  # noqa: E402
 import test_formats_text as text  # noqa: E402
 
 import gonio  # noqa: E402
-from gonio.brdf import Lobes  # noqa: E402
+from gonio.brdf import BRDF  # noqa: E402
 from gonio.colour import rgb_weights, xyz_weights  # noqa: E402
 from gonio.detectors import HemisphereGrid  # noqa: E402
 from gonio.formats import FORMATS  # noqa: E402
@@ -102,7 +102,7 @@ def by_openexr(path):  # type: ignore[no-untyped-def]
 
 
 GRID = HemisphereGrid(1.0, 1.0)
-MEASURED = Lobes(truth, NM, THETA_I, attributes={"title": "gold"}).sampled(THETA_I, [0.0], GRID)
+MEASURED = BRDF(truth, NM, THETA_I, attributes={"title": "gold"}).sampled(THETA_I, [0.0], GRID)
 
 READERS = {
     "rgl": ("Mitsuba 3 `measured`", lambda path, *pair: by_mitsuba(path, *pair, spectral=False)),

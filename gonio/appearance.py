@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.brdf import Lobes
+from gonio.brdf import BRDF
 from gonio.colour import encoded
 from gonio.detectors import HemisphereGrid, patch_quadrature
 from gonio.interpolation import bracket, bracket_around
@@ -74,14 +74,14 @@ def daylight(w: Vectors) -> Floats:
     return np.asarray(share * sky + (1 - share) * [0.2, 0.18, 0.16])
 
 
-def coloured(source: Measurement | Model | Lobes, wavelengths: Floats | None = None) -> Lobes:
+def coloured(source: Measurement | Model | BRDF, wavelengths: Floats | None = None) -> BRDF:
     """`source` as a function with linear sRGB channels; a model needs the wavelengths in nm at which it is asked."""
     if isinstance(source, Measurement):
-        source = Lobes.of(source)
-    elif not isinstance(source, Lobes):
+        source = BRDF.of(source)
+    elif not isinstance(source, BRDF):
         nm = np.array([450.0, 550.0, 650.0]) if wavelengths is None else np.asarray(wavelengths, np.float64)
         model = source
-        source = Lobes(lambda wi, wo: model.eval(wi, wo, nm), nm, np.arange(0.0, 90.0, 5.0))
+        source = BRDF(lambda wi, wo: model.eval(wi, wo, nm), nm, np.arange(0.0, 90.0, 5.0))
         if isinstance(model, SmithMultipleScattering):
             source = _walked(model, nm, _looks_the_same(source, 0.05))
         else:
@@ -89,16 +89,16 @@ def coloured(source: Measurement | Model | Lobes, wavelengths: Floats | None = N
     return source.in_basis("RGB")
 
 
-def _walked(model: SmithMultipleScattering, nm: Floats, isotropic: bool) -> Lobes:
+def _walked(model: SmithMultipleScattering, nm: Floats, isotropic: bool) -> BRDF:
     """A model that takes random walks for every value: they are taken once, for the bins of a table."""
     theta_i, phi_i = np.arange(0.0, 86.0, 5.0), np.zeros(1) if isotropic else np.arange(0.0, 360.0, 30.0)
     shape = (*PATCH_GRID.shape, len(nm))
     table = [[model.average(direction(t, p), PATCH_GRID, nm).reshape(shape) for p in phi_i] for t in theta_i]
     flags = {"isotropic": int(isotropic)}
-    return Lobes.of(tabulated(np.array(table), PATCH_GRID, theta_i, phi_i, nm, attributes=flags))
+    return BRDF.of(tabulated(np.array(table), PATCH_GRID, theta_i, phi_i, nm, attributes=flags))
 
 
-def _looks_the_same(lobes: Lobes, tolerance: float) -> bool:
+def _looks_the_same(lobes: BRDF, tolerance: float) -> bool:
     """Whether turning the surface changes nothing, at a few angles."""
     wi, wo = direction(30.0, 0.0), direction(40.0, 165.0)
     turned = [[rotate_z(w, phi) for phi in (0.0, 30.0, 75.0, 90.0)] for w in (wi, wo)]
@@ -107,7 +107,7 @@ def _looks_the_same(lobes: Lobes, tolerance: float) -> bool:
 
 
 def sphere(
-    source: Measurement | Model | Lobes,
+    source: Measurement | Model | BRDF,
     size: int = 400,
     lamp: tuple[float, float, float] = LAMP,
     irradiance: float = IRRADIANCE,
@@ -144,7 +144,7 @@ def _ball(size: int) -> Vectors:
 
 
 def plate(
-    source: Measurement | Model | Lobes,
+    source: Measurement | Model | BRDF,
     size: tuple[int, int] = (300, 500),
     lamp_theta: float = 70.0,
     irradiance: float = IRRADIANCE,
@@ -241,7 +241,7 @@ def _patches(detector: HemisphereGrid, radius: float) -> csr_array:
     return csr_array((bump, (pairs["i"], pairs["j"])), shape=(len(theirs), len(ours)))
 
 
-def _lit(lobes: Lobes, frames: Floats, eye: Vectors, lamp: Vectors, irradiance: float) -> Floats:
+def _lit(lobes: BRDF, frames: Floats, eye: Vectors, lamp: Vectors, irradiance: float) -> Floats:
     """Radiances (n, 3) towards `eye` (n, 3) of surfaces whose axes are the rows of `frames` (n, 3, 3), by the lamp."""
     wo, wi = _local(frames, eye), _local(frames, np.broadcast_to(lamp, eye.shape))
     radiance = np.zeros((len(wo), 3))
@@ -251,7 +251,7 @@ def _lit(lobes: Lobes, frames: Floats, eye: Vectors, lamp: Vectors, irradiance: 
     return radiance
 
 
-def _reflected_sky(lobes: Lobes, sky: Sky, normals: Vectors) -> Floats:
+def _reflected_sky(lobes: BRDF, sky: Sky, normals: Vectors) -> Floats:
     """Radiances (n, 3) towards the eye of a sphere with these normals under `sky`.
 
     They are summed for normals in rings around the eye, and lie on smooth curves between those.
@@ -276,7 +276,7 @@ def _facing(theta: float, around: Floats) -> Vectors:
     return np.asarray(direction(theta, around) @ _TOWARDS_EYE)
 
 
-def _sky_of_ring(lobes: Lobes, sky: Sky, theta: float, normals: Vectors) -> Floats:
+def _sky_of_ring(lobes: BRDF, sky: Sky, theta: float, normals: Vectors) -> Floats:
     """Radiances (n, 3) towards the eye of surfaces with these normals, all of them `theta` degrees off the eye."""
     frames = _frames(normals)
     _, phi = angles(_local(frames, np.broadcast_to(EYE, normals.shape)))
@@ -322,7 +322,7 @@ class _Bins:
         return np.asarray(np.diff(np.sin(np.radians(self.theta)) ** 2)[:, 0] * np.radians(self.half))
 
 
-def _shares(lobes: Lobes, theta: float, phi: float, bins: _Bins, nodes: int) -> Floats:
+def _shares(lobes: BRDF, theta: float, phi: float, bins: _Bins, nodes: int) -> Floats:
     """How much of what each bin sees is sent to an eye at these angles, (bins, 3): the lobe of a lamp in its place.
 
     `nodes`² values a bin are averaged.

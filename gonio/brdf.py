@@ -27,7 +27,7 @@ ANISOTROPY = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Lobes:
+class BRDF:
     """A BRDF as a function of both directions, with what is known of where it comes from."""
 
     evaluate: Callable[[Vectors, Vectors], Floats]

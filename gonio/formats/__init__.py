@@ -1,6 +1,6 @@
 """Foreign files in and out, one format a file: `FORMATS` maps a name to what writes it and what reads it.
 
-Every format is a pair of functions: `write(lobes, path)` fills a file from a BRDF (`Lobes`), `read(path)` makes a BRDF
+Every format is a pair of functions: `write(lobes, path)` fills a file from a `BRDF`, `read(path)` makes one
 of a file, evaluated as the programs that open it do. Reading back what was written tells what the conversion cost.
 """
 
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from microsurfaces.recipe import did_you_mean
 
 if TYPE_CHECKING:
-    from gonio.brdf import Lobes
+    from gonio.brdf import BRDF
     from gonio.formats.loss import Loss
     from gonio.measurement import Measurement
 
@@ -36,14 +36,14 @@ class Format:
     options: Mapping[str, object]
     """Further arguments of its `write`."""
 
-    def write(self, lobes: Lobes, path: Path) -> Sequence[str]:
+    def write(self, lobes: BRDF, path: Path) -> Sequence[str]:
         """Fill `path` from `lobes`; sentences about what had to be bent."""
         notes: Sequence[str] = self._home.write(lobes, path, **self.options)
         return notes
 
-    def read(self, path: Path) -> Lobes:
+    def read(self, path: Path) -> BRDF:
         """The BRDF in such a file; raises ValueError in one sentence for what is none."""
-        lobes: Lobes = self._home.read(path)
+        lobes: BRDF = self._home.read(path)
         return lobes
 
     @property
@@ -91,7 +91,7 @@ class Exported:
     path: Path
     notes: Sequence[str]
     """Sentences about what had to be bent."""
-    source: Lobes
+    source: BRDF
     """What the file was filled from."""
     format: Format
 
@@ -103,7 +103,7 @@ class Exported:
         return Loss.between(self.source, self.format.read(self.path))
 
 
-def export(measurement: Measurement | Lobes, path: str | os.PathLike[str], format: str | None = None) -> Exported:
+def export(measurement: Measurement | BRDF, path: str | os.PathLike[str], format: str | None = None) -> Exported:
     """Write `measurement` in a foreign format.
 
     The suffix of `path` decides, or `format`, a name in `FORMATS`. Nothing is left behind if the writing fails. Raises
@@ -112,16 +112,16 @@ def export(measurement: Measurement | Lobes, path: str | os.PathLike[str], forma
 
     >>> gonio.export(measurement, "gold.exr").loss.sentence()  # doctest: +SKIP
     """
-    from gonio.brdf import Lobes
+    from gonio.brdf import BRDF
 
     path = Path(path)
     chosen = FORMATS[_name(path, format)]
-    source = measurement if isinstance(measurement, Lobes) else Lobes.of(measurement)
-    left_out = () if isinstance(measurement, Lobes) else _left_out(measurement, source)
+    source = measurement if isinstance(measurement, BRDF) else BRDF.of(measurement)
+    left_out = () if isinstance(measurement, BRDF) else _left_out(measurement, source)
     return Exported(path, (*left_out, *chosen.write(source, path)), source, chosen)
 
 
-def _left_out(measurement: Measurement, source: Lobes) -> tuple[str, ...]:
+def _left_out(measurement: Measurement, source: BRDF) -> tuple[str, ...]:
     """A sentence about incidences that were asked for and are not exported."""
     left = measurement.measured.size - source.theta_i.size * source.phi_i.size
     return (f"{left} incidences are left out: they, or others of the same theta_i, were not measured.",) if left else ()
@@ -145,7 +145,7 @@ def load(path: str | os.PathLike[str], format: str | None = None) -> Measurement
     return _read(path, list({reader.module: reader for reader in reversed(readers)}.values())[::-1]).measured()
 
 
-def _read(path: Path, readers: Sequence[Format]) -> Lobes:
+def _read(path: Path, readers: Sequence[Format]) -> BRDF:
     """What the first of `readers` that knows the file makes of it: formats may share nothing but a suffix."""
     complaints = []
     for reader in readers:

@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.brdf import NOMINAL, Basis, Floats, Lobes
+from gonio.brdf import BRDF, NOMINAL, Basis, Floats
 from gonio.detectors import HemisphereGrid
 from gonio.formats.scattered import Table, decimal, degrees, detector_of, frame, incidences, title_of
 from microsurfaces.atomic_write import atomic_write
@@ -46,7 +46,7 @@ LONGEST_HEADER = 1 << 24
 """Bytes before the first row."""
 
 
-def write(lobes: Lobes, path: Path) -> Sequence[str]:
+def write(lobes: BRDF, path: Path) -> Sequence[str]:
     """Write every bin of every measured incidence whose value is known.
 
     Raises OSError where the file cannot be written.
@@ -86,7 +86,7 @@ def _radians(angle: float) -> str:
     return decimal(float(np.radians(angle)))
 
 
-def _notes(lobes: Lobes, missing: int, bins: int) -> Sequence[str]:
+def _notes(lobes: BRDF, missing: int, bins: int) -> Sequence[str]:
     notes = []
     if missing:
         notes.append(f"nothing is known of {missing / bins:.1%} of the bins: they have no row")
@@ -102,7 +102,7 @@ def _notes(lobes: Lobes, missing: int, bins: int) -> Sequence[str]:
 # --- Reading ---------------------------------------------------------------------------------------------------------
 
 
-def read(path: Path) -> Lobes:
+def read(path: Path) -> BRDF:
     """A BRDF from such a list; ours come back exactly.
 
     Without a header of ours a single azimuth of the light means an isotropic specimen. Raises ValueError in one
@@ -115,7 +115,7 @@ def read(path: Path) -> Lobes:
         start, about = _header(content)
         rows = _rows(content[start:], len(about["VARS"].split(",")))
         with np.errstate(over="ignore", invalid="ignore"):
-            return _table(rows, about, path.name).lobes()
+            return _table(rows, about, path.name).to_brdf()
     except (ValueError, OSError, OverflowError) as error:
         raise ValueError(f"{path}: not an ASTM file of a BRDF: {title_of(error)}") from None
 

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio import __version__
-from gonio.brdf import NOMINAL, Floats, Lobes
+from gonio.brdf import BRDF, NOMINAL, Floats
 from gonio.formats import json_arrays
 from gonio.formats.scattered import Table, decimal, degrees, detector_of, incidences, title_of
 from gonio.measurement import Measurement
@@ -53,7 +53,7 @@ METHODS = ("simulation", "measurement")
 ADDRESS = ("country", "city", "street", "building_nr", "postal_code")
 
 
-def write(lobes: Lobes, path: Path) -> Sequence[str]:
+def write(lobes: BRDF, path: Path) -> Sequence[str]:
     """Write every bin of every measured incidence whose value is known.
 
     Raises OSError where the file cannot be written.
@@ -76,7 +76,7 @@ def _values(name: str, about: Mapping[str, str], values: Sequence[str]) -> str:
     return f'"{name}": {head}, "values": [{",".join(values)}]}}'
 
 
-def _columns(lobes: Lobes, measurement: Measurement) -> tuple[Mapping[str, Sequence[str]], Sequence[str]]:
+def _columns(lobes: BRDF, measurement: Measurement) -> tuple[Mapping[str, Sequence[str]], Sequence[str]]:
     """Every list of the file as pieces of text, and what had to be bent."""
     data = measurement.dataset
     known = data["brdf"].sel(order="all").notnull()
@@ -115,7 +115,7 @@ def _numbers(values: Floats) -> str:
     return ",".join(map(repr, values.tolist()))
 
 
-def _notes(lobes: Lobes, missing: int, dark: int, bins: int) -> Sequence[str]:
+def _notes(lobes: BRDF, missing: int, dark: int, bins: int) -> Sequence[str]:
     notes = []
     if missing:
         notes.append(f"nothing is known of {missing / (missing + bins):.1%} of the values: they have no entry")
@@ -127,7 +127,7 @@ def _notes(lobes: Lobes, missing: int, dark: int, bins: int) -> Sequence[str]:
     return notes
 
 
-def _metadata(lobes: Lobes, measurement: Measurement) -> dict[str, Any]:
+def _metadata(lobes: BRDF, measurement: Measurement) -> dict[str, Any]:
     """What is known of the measurement, where the schema has a place for it."""
     values = measurement.dataset["brdf"].values
     digest = hashlib.blake2b(np.ascontiguousarray(values).tobytes(), digest_size=16).digest()
@@ -166,7 +166,7 @@ def _metadata(lobes: Lobes, measurement: Measurement) -> dict[str, Any]:
 # --- Reading ---------------------------------------------------------------------------------------------------------
 
 
-def read(path: Path) -> Lobes:
+def read(path: Path) -> BRDF:
     """A BRDF from such a file; ours come back exactly, with their errors.
 
     A specimen of which the file does not say whether it is isotropic is so if there is a single azimuth of the light.
@@ -175,7 +175,7 @@ def read(path: Path) -> Lobes:
     try:
         content = json_arrays.load(path, "values")
         with np.errstate(over="ignore", invalid="ignore"):
-            return _table(content["metadata"], content["data"], path.name).lobes()
+            return _table(content["metadata"], content["data"], path.name).to_brdf()
     except KeyError as error:
         raise ValueError(f"{path}: not a BiRD file of a BRDF: {error} is missing") from None
     except (ValueError, TypeError, AttributeError, IndexError, OverflowError, OSError) as error:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.brdf import Floats, Lobes
+from gonio.brdf import BRDF, Floats
 from gonio.detectors import HemisphereGrid
 from gonio.measurement import tabulated
 from gonio.sphere import Vectors, angles, direction, rotate_z
@@ -57,7 +57,7 @@ LARGEST = 1 << 30
 """Bytes that a file may hold at most, unpacked."""
 
 
-def write(lobes: Lobes, path: Path, colour: bool = False, layout: Literal["bins", "disc"] = "bins") -> Sequence[str]:
+def write(lobes: BRDF, path: Path, colour: bool = False, layout: Literal["bins", "disc"] = "bins") -> Sequence[str]:
     """Write the BRDF, and its standard error where it is known, of every measured incidence to `path`.
 
     Parts are named `theta_i030.0_phi_i000.0` and `theta_i030.0_phi_i000.0_standard_error`, float32, 1/sr; the string
@@ -85,7 +85,7 @@ def write(lobes: Lobes, path: Path, colour: bool = False, layout: Literal["bins"
     return ()
 
 
-def _part(lobes: Lobes, incidence: xr.Dataset, variable: str) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
+def _part(lobes: BRDF, incidence: xr.Dataset, variable: str) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
     """Header and channels of one incidence's image of `variable`."""
     suffix = variable.removeprefix("brdf")
     header = _header(incidence, suffix, "bins", _description(lobes, incidence, variable))
@@ -93,7 +93,7 @@ def _part(lobes: Lobes, incidence: xr.Dataset, variable: str) -> tuple[dict[str,
     return header, dict(zip(_channels(lobes), np.ascontiguousarray(image.values, np.float32), strict=True))
 
 
-def _disc_part(lobes: Lobes, incidence: xr.Dataset) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
+def _disc_part(lobes: BRDF, incidence: xr.Dataset) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
     """Header and channels of one incidence's disc."""
     wo, above = _disc_directions()
     wi = np.broadcast_to(direction(float(incidence["theta_i"]), float(incidence["phi_i"])), wo.shape)
@@ -127,7 +127,7 @@ def _header(incidence: xr.Dataset, suffix: str, layout: str, about: dict[str, An
     }
 
 
-def _channels(lobes: Lobes) -> tuple[str, ...]:
+def _channels(lobes: BRDF) -> tuple[str, ...]:
     """Names of the channels, as readers of spectral and of colour images expect them."""
     if lobes.basis == "spectrum":
         return tuple(channel_name(nm) for nm in lobes.wavelengths.tolist())
@@ -155,7 +155,7 @@ def _centred(image: xr.DataArray | xr.Dataset) -> Any:
     return image.roll(dphi=image.sizes["dphi"] // 2, roll_coords=True)
 
 
-def _about(lobes: Lobes, incidence: xr.Dataset) -> dict[str, Any]:
+def _about(lobes: BRDF, incidence: xr.Dataset) -> dict[str, Any]:
     """What is known of one incidence's image, whatever its layout."""
     return {
         "units": "sr-1",
@@ -171,7 +171,7 @@ def _about(lobes: Lobes, incidence: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def _description(lobes: Lobes, incidence: xr.Dataset, variable: str) -> dict[str, Any]:
+def _description(lobes: BRDF, incidence: xr.Dataset, variable: str) -> dict[str, Any]:
     """What the part holds, on which grid, and everything that is known about how it was made."""
     grid = _centred(incidence)
     dphi = (grid["dphi"].values + 180.0) % 360.0 - 180.0
@@ -197,7 +197,7 @@ def _text(value: Any) -> str:
 # --- Reading ---------------------------------------------------------------------------------------------------------
 
 
-def read(path: Path) -> Lobes:
+def read(path: Path) -> BRDF:
     """A BRDF from images that `write` made: bins with their errors as they were, discs interpolated between texels.
 
     Raises ValueError for other files: an image alone does not tell its directions.
@@ -247,7 +247,7 @@ def _nodes(images: list[tuple[dict[str, Any], Floats]]) -> tuple[Floats, Floats]
     return tuple(np.unique([about[name] for about, _ in images]) for name in ("theta_i", "phi_i"))  # type: ignore[return-value]
 
 
-def _bins(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> Lobes:
+def _bins(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> BRDF:
     from pydantic import TypeAdapter
 
     about = images[0][0]
@@ -263,10 +263,10 @@ def _bins(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> Lobes:
         brdf, detector, theta_i, phi_i, about["wavelengths"],
         standard_error=errors, attributes=_attributes(path, about),
     )  # fmt: skip
-    return Lobes.of(measurement)
+    return BRDF.of(measurement)
 
 
-def _disc(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> Lobes:
+def _disc(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> BRDF:
     about = images[0][0]
     theta_i, phi_i = _nodes(images)
     table = np.full((len(theta_i), len(phi_i), *images[0][1].shape), np.nan)
@@ -282,7 +282,7 @@ def _disc(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> Lobes:
         column = np.abs((phi[:, None] - phi_i + 180) % 360 - 180).argmin(axis=1) * (not about["isotropic"])
         return np.asarray(table[row, column, *_texel(wo)])
 
-    return Lobes(
+    return BRDF(
         evaluate=evaluate, wavelengths=np.array(about["wavelengths"]), theta_i=theta_i, phi_i=phi_i,
         isotropic=about["isotropic"], basis=about["basis"], attributes=_attributes(path, about),
     )  # fmt: skip

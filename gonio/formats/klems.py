@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.brdf import Floats, Lobes
+from gonio.brdf import BRDF, Floats
 from gonio.detectors import Klems, ringed
 from gonio.sphere import Vectors, direction
 
@@ -74,7 +74,7 @@ BASES = {
 """The three bases that Radiance knows by name."""
 
 
-def matrix(lobes: Lobes, basis: AngleBasis) -> Floats:
+def matrix(lobes: BRDF, basis: AngleBasis) -> Floats:
     """Averages over pairs of patches with the weight cosθ dω on either side, (exiting, incident, channels).
 
     NaN where nothing is known.

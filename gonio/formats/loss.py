@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from gonio.brdf import Floats, Lobes
+from gonio.brdf import BRDF, Floats
 from gonio.sphere import direction
 
 FLOOR = 0.01
@@ -35,7 +35,7 @@ class Loss:
     """Root mean square of the relative standard errors of these bins of the source; NaN if they are not known."""
 
     @classmethod
-    def between(cls, source: Lobes, copy: Lobes) -> Self:
+    def between(cls, source: BRDF, copy: BRDF) -> Self:
         """Compare averages over the bins of `source`; its channels are turned into those of `copy`."""
         source = source.in_basis(copy.basis)
         measurement = source.measured()

@@ -31,7 +31,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.brdf import Floats, Lobes
+from gonio.brdf import BRDF, Floats
 from gonio.colour import PRIMARIES
 from gonio.detectors import HemisphereGrid
 from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z
@@ -55,7 +55,7 @@ _CORNERS = tuple(itertools.product((0.0, 1.0), repeat=3))
 """Places in bins that reach above the horizon with a corner only, as shares of their widths."""
 
 
-def write(lobes: Lobes, path: Path, sample: Sample = "centre") -> Sequence[str]:
+def write(lobes: BRDF, path: Path, sample: Sample = "centre") -> Sequence[str]:
     """Write `lobes` in linear sRGB, and say how far from reciprocal they were.
 
     A bin is the mean of f(wi, wo) and f(wo, wi), which the format cannot tell apart; where only one of the two lies
@@ -78,7 +78,7 @@ def write(lobes: Lobes, path: Path, sample: Sample = "centre") -> Sequence[str]:
     return _notes(lobes, values[above])
 
 
-def _row(lobes: Lobes, i: int, place: tuple[float, float, float]) -> Floats:
+def _row(lobes: BRDF, i: int, place: tuple[float, float, float]) -> Floats:
     """The bins of one theta_h, (theta_d, phi_d, RGB); NaN where nothing lies above the horizon or nothing is known."""
     total, count = np.zeros((*BINS[1:], 3)), np.zeros((*BINS[1:], 1))
     for places in ((place,), _CORNERS):
@@ -105,7 +105,7 @@ def _directions(i: ArrayLike, j: ArrayLike, k: ArrayLike) -> tuple[Vectors, Vect
     return wi, reflect(wi, direction(theta_h, 0.0))
 
 
-def _both_ways(lobes: Lobes, wi: Vectors, wo: Vectors) -> Floats:
+def _both_ways(lobes: BRDF, wi: Vectors, wo: Vectors) -> Floats:
     """The mean of f(wi, wo) and f(wo, wi), or the one of them that lies within the known incidences."""
     known_i, known_o = (angles(w)[0][:, None] <= lobes.theta_i[-1] for w in (wi, wo))
     only_i, only_o = known_i & ~known_o, known_o & ~known_i
@@ -114,7 +114,7 @@ def _both_ways(lobes: Lobes, wi: Vectors, wo: Vectors) -> Floats:
     return np.asarray((there + back) / 2)
 
 
-def _notes(lobes: Lobes, values: Floats) -> list[str]:
+def _notes(lobes: BRDF, values: Floats) -> list[str]:
     """What had to be bent; `values` (n, RGB) are those above the horizon."""
     notes = ["MERL takes a BRDF for reciprocal: f(wi, wo) and f(wo, wi) were averaged"]
     differences = _differences(lobes)
@@ -132,7 +132,7 @@ def _notes(lobes: Lobes, values: Floats) -> list[str]:
     return notes
 
 
-def _differences(lobes: Lobes) -> Floats:
+def _differences(lobes: BRDF) -> Floats:
     """|f(wi, wo) - f(wo, wi)| over their mean where that is above 1 % of the peak of an incidence and channel.
 
     Of directions that share the projected hemisphere evenly, within the known incidences.
@@ -150,14 +150,14 @@ def _differences(lobes: Lobes) -> Floats:
     return np.asarray(np.abs(both[0] - both[1])[bright] / mean[bright])
 
 
-def read(path: Path) -> Lobes:
+def read(path: Path) -> BRDF:
     """The BRDF of a MERL file (180 or 360 bins in phi_d) as BRDF Explorer and dj_brdf see it: constant within a bin.
 
     Channels are linear sRGB, NaN where the file marks directions below the horizon. Raises ValueError for anything
     else.
     """
     table = _load(path)
-    return Lobes(
+    return BRDF(
         evaluate=lambda wi, wo: table[bin_of(wi, wo, table.shape[2])],
         wavelengths=np.array(PRIMARIES),
         theta_i=np.arange(0.0, 90.0, 5.0),

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio.brdf import Floats, Lobes
+from gonio.brdf import BRDF, Floats
 from gonio.detectors import HemisphereGrid
 from gonio.formats import json_arrays
 from gonio.formats.scattered import Table, decimal, degrees, detector_of, title_of
@@ -50,7 +50,7 @@ SCHEMA = (
 )
 
 
-def write(lobes: Lobes, path: Path) -> Sequence[str]:
+def write(lobes: BRDF, path: Path) -> Sequence[str]:
     """Write every bin of every measured polar angle of the light, the mean over its azimuths.
 
     Raises OSError where the file cannot be written.
@@ -98,7 +98,7 @@ def _metres(nm: float) -> float:
     return float(f"{decimal(nm)}e-9")
 
 
-def _metadata(lobes: Lobes, measurement: Measurement) -> dict[str, Any]:
+def _metadata(lobes: BRDF, measurement: Measurement) -> dict[str, Any]:
     digest = hashlib.blake2b(
         np.ascontiguousarray(measurement.dataset["brdf"].values).tobytes(), digest_size=16
     ).digest()
@@ -132,7 +132,7 @@ def _solid_angles(wavelengths: Floats, measurement: Measurement) -> dict[str, An
     }
 
 
-def _notes(lobes: Lobes, measurement: Measurement, values: Floats) -> Sequence[str]:
+def _notes(lobes: BRDF, measurement: Measurement, values: Floats) -> Sequence[str]:
     notes = []
     unknown = np.isnan(values).mean()
     if unknown:
@@ -152,12 +152,12 @@ def _notes(lobes: Lobes, measurement: Measurement, values: Floats) -> Sequence[s
 # --- Reading ---------------------------------------------------------------------------------------------------------
 
 
-def read(path: Path) -> Lobes:
+def read(path: Path) -> BRDF:
     """A BRDF from such a table; ours come back exactly. Raises ValueError in one sentence for anything else."""
     try:
         content = json_arrays.load(path, "lookupTable")
         with np.errstate(over="ignore", invalid="ignore"):
-            return _table(content["metadata"], content["brdf"], path.name).lobes()
+            return _table(content["metadata"], content["brdf"], path.name).to_brdf()
     except KeyError as error:
         raise ValueError(f"{path}: not an OpenMATERIAL BRDF table: {error} is missing") from None
     except (ValueError, TypeError, AttributeError, OverflowError, OSError) as error:

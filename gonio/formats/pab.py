@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gonio.brdf import NOMINAL, Basis, Floats, Lobes
+from gonio.brdf import BRDF, NOMINAL, Basis, Floats
 from gonio.formats.radiance import WHITE
 from gonio.formats.scattered import Table, decimal, detector_of, incidences, title_of
 from gonio.formats.text import numbers
@@ -41,7 +41,7 @@ _MOST_TURNS = 1e6
 """Degrees that an angle may have: beyond, rounding turns it into any other."""
 
 
-def write(lobes: Lobes, path: Path) -> Sequence[str]:
+def write(lobes: BRDF, path: Path) -> Sequence[str]:
     """Write a file for every incidence beside `path`, which lists them; in colour if there is more than one channel.
 
     They are named as `path` with `_theta_i030.0_phi_i000.0` before the suffix. Raises OSError where nothing can be
@@ -70,7 +70,7 @@ def _angle(degrees: float) -> str:
     return f"{degrees:05.1f}" if round(degrees, 1) == degrees else decimal(degrees)
 
 
-def _header(lobes: Lobes, measurement: Measurement, theta_i: float, phi_i: float) -> str:
+def _header(lobes: BRDF, measurement: Measurement, theta_i: float, phi_i: float) -> str:
     """What comes before the numbers."""
     title = title_of(lobes.title).replace('"', "'")[:200]
     return f"""#sample_name "{title}"
@@ -84,7 +84,7 @@ def _header(lobes: Lobes, measurement: Measurement, theta_i: float, phi_i: float
 """
 
 
-def _lines(lobes: Lobes, phi_i: float, values: Floats) -> str:
+def _lines(lobes: BRDF, phi_i: float, values: Floats) -> str:
     """A line for every bin of `values` (rings, sectors, channels) that is known."""
     grid = lobes.detector
     theta, phi = np.meshgrid(grid.theta, (grid.dphi + phi_i) % 360, indexing="ij")
@@ -95,7 +95,7 @@ def _lines(lobes: Lobes, phi_i: float, values: Floats) -> str:
     return (line * len(rows)) % tuple(rows.ravel().tolist())
 
 
-def read(path: Path) -> Lobes:
+def read(path: Path) -> BRDF:
     """The set that `path` lists, or the one incidence of a data file; Y or XYZ.
 
     Incidences with a single azimuth count as an isotropic specimen, as for pabopto2bsdf. Raises ValueError for anything
@@ -104,7 +104,7 @@ def read(path: Path) -> Lobes:
     try:
         text = _text(path)
         names = [path.name] if _FORMAT.search(text) else _listed(path, text)
-        return _joined([_incidence(path.parent / name) for name in names], path.name).lobes()
+        return _joined([_incidence(path.parent / name) for name in names], path.name).to_brdf()
     except (ValueError, OSError) as error:
         raise ValueError(f"{path}: neither a PAB-Opto file nor a list of such files: {title_of(error)}") from None
 

@@ -31,7 +31,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from gonio.brdf import NOMINAL, Basis, Floats, Lobes
+from gonio.brdf import BRDF, NOMINAL, Basis, Floats
 from gonio.colour import xyz_of_rgb
 from gonio.detectors import HemisphereGrid
 from gonio.formats import klems, tensor_tree
@@ -52,7 +52,7 @@ WHITE = xyz_of_rgb().sum(axis=1)
 """X, Y and Z of a neutral surface with Y = 1 here; all 1 in the files of Radiance."""
 
 
-def write(lobes: Lobes, path: Path, basis: Variant = "klems-full") -> Sequence[str]:
+def write(lobes: BRDF, path: Path, basis: Variant = "klems-full") -> Sequence[str]:
     """Write `lobes` as `Reflection Back`, in colour if they have more than one channel.
 
     Values are means over incident and exiting patch or cell. Raises ValueError for a rank 3 tree if the azimuth of the
@@ -83,7 +83,7 @@ def _has_floor(luminance: Floats) -> bool:
     return bool(used.min() > 0.01 / np.pi)
 
 
-def _rank(lobes: Lobes, basis: Variant) -> int:
+def _rank(lobes: BRDF, basis: Variant) -> int:
     """Dimensions of the tree."""
     if basis == "tensor3" and not lobes.isotropic:
         raise ValueError(
@@ -157,7 +157,7 @@ def _text(values: Floats, tree: bool) -> str:
     return f"{{\n{text}\n}}" if tree else text
 
 
-def _notes(lobes: Lobes, values: Floats) -> list[str]:
+def _notes(lobes: BRDF, values: Floats) -> list[str]:
     """What had to be bent; `values` (..., channels) are NaN where nothing is known."""
     notes = []
     if lobes.theta_i[-1] < 80:
@@ -170,7 +170,7 @@ def _notes(lobes: Lobes, values: Floats) -> list[str]:
     return notes
 
 
-def read(path: Path) -> Lobes:
+def read(path: Path) -> BRDF:
     """The reflection of a BSDF file: Y, or XYZ if the file has colours.
 
     Of the two sides it is the one that the normal points to (`Reflection Back`), or the other one if that is all there
@@ -250,7 +250,7 @@ def _bases(layer: ET.Element) -> dict[str, klems.AngleBasis]:
     return bases
 
 
-def _matrix(blocks: Mapping[str, ET.Element], bases: Mapping[str, klems.AngleBasis], by_exiting: bool) -> Lobes:
+def _matrix(blocks: Mapping[str, ET.Element], bases: Mapping[str, klems.AngleBasis], by_exiting: bool) -> BRDF:
     """A matrix as a function: constant in pairs of patches."""
     names = [name for name in ("cie-x", "visible", "cie-z") if name in blocks]
     parts = {name: _one_matrix(blocks[name], bases, by_exiting) for name in names}
@@ -258,7 +258,7 @@ def _matrix(blocks: Mapping[str, ET.Element], bases: Mapping[str, klems.AngleBas
     basis: Basis = "Y"
     if len(parts) == 3 and all(part[1:] == (incident, exiting) for part in parts.values()):
         table, basis = np.concatenate([part[0] for part in parts.values()], axis=-1) * WHITE, "XYZ"
-    return Lobes(
+    return BRDF(
         evaluate=lambda wi, wo: klems.value(table, incident, exiting, wi, wo),
         wavelengths=np.array(NOMINAL[basis]),
         theta_i=incident.theta,
@@ -286,7 +286,7 @@ def _one_matrix(
     return (table if by_exiting else table.T)[..., None], incident, exiting
 
 
-def _tree(blocks: Mapping[str, ET.Element], rank: int) -> Lobes:
+def _tree(blocks: Mapping[str, ET.Element], rank: int) -> BRDF:
     """A tensor tree as a function: constant in its cells."""
     trees = {
         name: tensor_tree.parse(blocks[name].findtext("{*}ScatteringData", ""), rank)
@@ -300,7 +300,7 @@ def _tree(blocks: Mapping[str, ET.Element], rank: int) -> Lobes:
         found = [tree(place) for tree in trees.values()]
         return _xyz(*found) if basis == "XYZ" else found[0][:, None]
 
-    return Lobes(
+    return BRDF(
         evaluate=evaluate,
         theta_i=np.arange(0.0, 90.0, 5.0),
         phi_i=np.arange(0.0, 360.0, 15.0) if rank == 4 else np.zeros(1),

@@ -20,7 +20,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.brdf import NOMINAL, Basis, Floats, Lobes
+from gonio.brdf import BRDF, NOMINAL, Basis, Floats
 from gonio.detectors import HemisphereGrid
 from gonio.interpolation import bracket, bracket_around
 from gonio.measurement import Measurement, tabulated
@@ -126,7 +126,7 @@ class Table:
                 )
         return self
 
-    def lobes(self) -> Lobes:
+    def to_brdf(self) -> BRDF:
         """The BRDF that the list stands for. Raises ValueError if the list is none, empty, or too long."""
         _insist_on_rows(self.theta_i, self.phi_i, self.theta_o, self.dphi)
         theta_i, phi_i, theta_o, dphi = _upright(self.theta_i, self.phi_i, self.theta_o, self.dphi)
@@ -138,7 +138,7 @@ class Table:
             standard_error=errors, isotropic=isotropic, attributes=attributes,
         )  # fmt: skip
         measurement = table._measurement()
-        return Lobes.of(measurement) if measurement is not None else table._interpolated()
+        return BRDF.of(measurement) if measurement is not None else table._interpolated()
 
     def _measurement(self) -> Measurement | None:
         """The measurement whose bins these are, if they are the bins of one."""
@@ -162,7 +162,7 @@ class Table:
             return None
         return tabulated(values, grid, theta_i, phi_i, self.wavelengths, errors, self.attributes)
 
-    def _interpolated(self) -> Lobes:
+    def _interpolated(self) -> BRDF:
         """Everything else: a function between the samples, and its averages with errors if those are known."""
         function = _Interpolant.over(self, self.brdf)
         phi_i = np.zeros(1) if self.isotropic else _nodes(self.phi_i)[0]
@@ -172,7 +172,7 @@ class Table:
                 f"its {len(function.theta_i)} polar angles and {len(phi_i)} azimuths of the light, seen in bins of "
                 f"{detector.theta_step:g} x {detector.phi_step:g} degrees, are too many; split the file"
             )
-        lobes = Lobes(
+        lobes = BRDF(
             evaluate=function,
             wavelengths=self.wavelengths,
             theta_i=function.theta_i,
@@ -363,7 +363,7 @@ class _Hemisphere(Protocol):
 
 @dataclass(frozen=True)
 class _Interpolant:
-    """`Lobes.evaluate` between the incidences of a table."""
+    """`BRDF.evaluate` between the incidences of a table."""
 
     theta_i: Floats
     phi_i: Sequence[Floats]

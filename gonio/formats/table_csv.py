@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.brdf import Floats, Lobes
+from gonio.brdf import BRDF, Floats
 from gonio.formats.scattered import Table, decimal, detector_of, frame, incidences, title_of
 from microsurfaces.atomic_write import atomic_write
 
@@ -53,7 +53,7 @@ LONGEST_HEADER = 1 << 24
 """Bytes before the first row."""
 
 
-def write(lobes: Lobes, path: Path) -> Sequence[str]:
+def write(lobes: BRDF, path: Path) -> Sequence[str]:
     """Write every bin of every measured incidence, with its standard error and count where they are known.
 
     Raises OSError where the file cannot be written.
@@ -81,7 +81,7 @@ def write(lobes: Lobes, path: Path) -> Sequence[str]:
     return ()
 
 
-def _comments(lobes: Lobes) -> Sequence[str]:
+def _comments(lobes: BRDF) -> Sequence[str]:
     provenance = {key: value if isinstance(value, str) else str(value) for key, value in lobes.attributes.items()}
     about = {
         "title": lobes.title,
@@ -112,7 +112,7 @@ def _texts(values: Floats) -> list[str]:
 # --- Reading ---------------------------------------------------------------------------------------------------------
 
 
-def read(path: Path) -> Lobes:
+def read(path: Path) -> BRDF:
     """A BRDF from a table with these columns; ours come back exactly, with their errors.
 
     Raises ValueError in one sentence for anything else.
@@ -123,7 +123,7 @@ def read(path: Path) -> Lobes:
         content = path.read_bytes()
         start, about = _header(content)
         with np.errstate(over="ignore", invalid="ignore"):
-            return _table(_columns(content[start:]), about, path.name).lobes()
+            return _table(_columns(content[start:]), about, path.name).to_brdf()
     except (ValueError, OSError, OverflowError, KeyError, TypeError) as error:
         raise ValueError(f"{path}: not a CSV file of a BRDF: {title_of(error)}") from None
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.brdf import Floats, Lobes
+from gonio.brdf import BRDF, Floats
 from gonio.formats.klems import mean_of_known
 from gonio.formats.text import numbers
 from gonio.sphere import Vectors, angles, rotate_z
@@ -64,7 +64,7 @@ def exiting(place: Floats) -> Vectors:
     return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(np.maximum(1 - r**2, 0.0))], axis=-1)
 
 
-def grid(lobes: Lobes, rank: int) -> Floats:
+def grid(lobes: BRDF, rank: int) -> Floats:
     """Averages over the cells with the weight cosθ dω on either side, (cells, ..., channels); NaN where unknown."""
     cells, nodes = 2 ** RESOLUTION[rank], _NODES[rank]
     wo = exiting(_places(cells, nodes[:, -2:]))

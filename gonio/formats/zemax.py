@@ -37,7 +37,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.brdf import NOMINAL, Basis, Floats, Lobes
+from gonio.brdf import BRDF, NOMINAL, Basis, Floats
 from gonio.formats.scattered import decimal, grid_of_steps, title_of
 from gonio.formats.text import numbers
 from gonio.interpolation import bracket, bracket_around
@@ -114,7 +114,7 @@ def _frame(theta: ArrayLike, phi: ArrayLike) -> Floats:
 # --- Writing ---------------------------------------------------------------------------------------------------------
 
 
-def write(lobes: Lobes, path: Path, colour: bool = False) -> Sequence[str]:
+def write(lobes: BRDF, path: Path, colour: bool = False) -> Sequence[str]:
     """Write a table of one channel, or with `colour` of X, Y and Z.
 
     Raises ValueError if one azimuth of the light is known of an anisotropic specimen, OSError where the file cannot be
@@ -139,7 +139,7 @@ def write(lobes: Lobes, path: Path, colour: bool = False) -> Sequence[str]:
     return notes
 
 
-def _head(lobes: Lobes, symmetry: str, content: str, table: _Table) -> str:
+def _head(lobes: BRDF, symmetry: str, content: str, table: _Table) -> str:
     wavelength = f"# Wavelength {lobes.channels[0]}\n" if lobes.basis == "spectrum" else ""
     axes = {
         "SampleRotation": table.rotation,
@@ -154,7 +154,7 @@ def _head(lobes: Lobes, symmetry: str, content: str, table: _Table) -> str:
     )
 
 
-def _sampled(lobes: Lobes) -> tuple[_Table, list[str]]:
+def _sampled(lobes: BRDF) -> tuple[_Table, list[str]]:
     """The lobes at all nodes, azimuths all around, and what had to be bent."""
     rotation = np.zeros(1) if lobes.isotropic else lobes.phi_i
     tilt, turn = STEPS[lobes.isotropic]
@@ -196,7 +196,7 @@ def _beside(above: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return held
 
 
-def _at_or_above(lobes: Lobes, wi: Vectors, wo: Vectors) -> Floats:
+def _at_or_above(lobes: BRDF, wi: Vectors, wo: Vectors) -> Floats:
     """Values at `wo` (n, 3), or at the horizon where it is below."""
     raised = wo.copy()
     raised[:, 2] = np.where(wo[:, 2] > 0, wo[:, 2], 1e-3)
@@ -204,7 +204,7 @@ def _at_or_above(lobes: Lobes, wi: Vectors, wo: Vectors) -> Floats:
     return lobes.evaluate(np.broadcast_to(wi, raised.shape), raised)
 
 
-def _symmetry(lobes: Lobes, table: _Table, notes: list[str]) -> tuple[str, _Table]:
+def _symmetry(lobes: BRDF, table: _Table, notes: list[str]) -> tuple[str, _Table]:
     """The word for the file, and what it holds: the mean of both sides if they differ by no more than noise."""
     if not lobes.isotropic:
         return "Asymmetrical4D", table
@@ -232,7 +232,7 @@ def _shares(table: _Table) -> Floats:
     return np.asarray(np.maximum(cosine, 0.0) * np.sin(radial) * np.gradient(table.radial))
 
 
-def _noise(lobes: Lobes) -> float:
+def _noise(lobes: BRDF) -> float:
     """The share of the energy by which two sides differ that only noise sets apart; 0 if errors are not known."""
     if lobes.measurement is None:
         return 0.0
@@ -244,7 +244,7 @@ def _noise(lobes: Lobes) -> float:
     return float((spread / (data["brdf"] * area).sum(bins)).fillna(0.0).max())
 
 
-def _albedos(lobes: Lobes, table: _Table, notes: list[str]) -> Floats:
+def _albedos(lobes: BRDF, table: _Table, notes: list[str]) -> Floats:
     """Directional albedos (rotation, incidence, channels), at most 1; linear between the measured incidences."""
     known = lobes.measured().dataset["albedo"].sel(order="all").transpose("phi_i", "theta_i", "wavelength")
     known = known.isel(phi_i=slice(len(table.rotation)))
@@ -259,7 +259,7 @@ def _albedos(lobes: Lobes, table: _Table, notes: list[str]) -> Floats:
 # --- Reading ---------------------------------------------------------------------------------------------------------
 
 
-def read(path: Path) -> Lobes:
+def read(path: Path) -> BRDF:
     """A BRDF evaluated as libbsdf does. Raises ValueError in one sentence for anything else."""
     try:
         if path.stat().st_size > LARGEST:
@@ -270,7 +270,7 @@ def read(path: Path) -> Lobes:
         raise ValueError(f"{path}: not a Zemax BSDF file: {title_of(error)}") from None
 
 
-def _lobes(text: str, name: str) -> Lobes:
+def _lobes(text: str, name: str) -> BRDF:
     comments = re.findall(r"^#(.*)$", text, flags=re.MULTILINE)
     head, *rest = re.split(
         r"^[ \t]*(Monochrome|Tristimulus[XYZ])[ \t\r]*$", re.sub(r"(?m)^#.*$", "", text), flags=re.MULTILINE
@@ -284,7 +284,7 @@ def _lobes(text: str, name: str) -> Lobes:
     table = _table(words, rest[1::2])
     basis, wavelengths = _channels(content, comments)
     step = max(1.0, float(np.diff(table.radial).min(initial=10.0)))
-    return Lobes(
+    return BRDF(
         evaluate=table.at,
         wavelengths=wavelengths,
         theta_i=table.incidence,

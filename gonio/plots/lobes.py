@@ -1,4 +1,4 @@
-"""Lobes in three dimensions: scattered light as a surface around the sample."""
+"""BRDF in three dimensions: scattered light as a surface around the sample."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from gonio.brdf import Lobes
+from gonio.brdf import BRDF
 from gonio.colour import encoded, rgb_weights, xyz_of_rgb
 from gonio.detectors import HemisphereGrid, Klems
 from gonio.plots import lobe_files, patches, style
@@ -184,7 +184,7 @@ def _on_grid(measurement: Measurement) -> Measurement:
         return measurement
     chosen, _ = choose_incidences(measurement)
     theta, phi = [incidence.theta for incidence in chosen], [chosen[0].phi]
-    return Lobes.of(measurement).sampled(theta, phi, HemisphereGrid(theta_step=2.5, phi_step=5.0), nodes=1)
+    return BRDF.of(measurement).sampled(theta, phi, HemisphereGrid(theta_step=2.5, phi_step=5.0), nodes=1)
 
 
 def _frames(measurement: Measurement) -> Measurement:
@@ -197,7 +197,7 @@ def _frames(measurement: Measurement) -> Measurement:
             "a moving picture needs two measured theta_i at least, and this measurement has one: draw .png"
         )
     between = np.unique(np.linspace(min(theta), max(theta), FRAMES).round())
-    return Lobes.of(measurement).sampled(between, [phi], FRAME_GRID)
+    return BRDF.of(measurement).sampled(between, [phi], FRAME_GRID)
 
 
 @dataclass(frozen=True, eq=False)

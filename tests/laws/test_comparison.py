@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from synthetic import GRID, TRUTH, external, poisson, synthetic
 
-from gonio.brdf import Lobes
+from gonio.brdf import BRDF
 from gonio.comparison import ENOUGH_HITS, _pools, compare
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.models import CookTorrance, Lambert, Ward
@@ -432,7 +432,7 @@ def test_errors_that_are_known_in_part_are_no_errors_where_they_are_not():
 
 def test_a_model_sampled_as_a_function_is_that_model():
     """Two nodes an axis and bin against the averages that are exact to 1e-5."""
-    lobes = Lobes(lambda wi, wo: TRUTH.eval(wi, wo, (550.0,)), np.array([550.0]), np.array([0.0, 30.0]))
+    lobes = BRDF(lambda wi, wo: TRUTH.eval(wi, wo, (550.0,)), np.array([550.0]), np.array([0.0, 30.0]))
     comparison = compare(lobes.sampled((0.0, 30.0), 0.0, GRID, nodes=6), TRUTH)
     np.testing.assert_allclose(comparison.table["albedo_bias"], 0.0, atol=2e-5)
     np.testing.assert_allclose(comparison.table["l1"], 0.0, atol=2e-5)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gonio
-from gonio.brdf import Lobes
+from gonio.brdf import BRDF
 from gonio.detectors import HemisphereGrid
 from gonio.formats import FORMATS, exr, loss
 from gonio.measurement import tabulated
@@ -117,7 +117,7 @@ def lobe(wi, wo):
 
 
 def test_exr_discs_are_pictures_from_above(tmp_path):
-    source = Lobes(lobe, np.array([550.0]), np.array([50.0]), np.array([20.0]), isotropic=False)
+    source = BRDF(lobe, np.array([550.0]), np.array([50.0]), np.array([20.0]), isotropic=False)
     exported = gonio.export(source, tmp_path / "disc.exr", "exr-disc")
     channels = parts_of(exported.path)["theta_i050.0_phi_i020.0"].channels
     green, alpha = channels["G"].pixels, channels["A"].pixels
@@ -150,26 +150,26 @@ def test_one_azimuth_of_a_grooved_specimen_is_no_function(measurement):
     one = tabulated(table()[:, :1], GRID, THETA_I, [0.0], WAVELENGTHS, attributes=known)
     wi = direction([20.0], [0.0])
     with pytest.raises(ValueError, match="--isotropic"):
-        Lobes.of(one).evaluate(wi, wi)
-    assert Lobes.of(one.as_isotropic()).evaluate(wi, wi).shape == (1, 2)
+        BRDF.of(one).evaluate(wi, wi)
+    assert BRDF.of(one.as_isotropic()).evaluate(wi, wi).shape == (1, 2)
     known["surface_statistics"] = json.dumps({"rms_slope_x": 0.3, "rms_slope_y": 0.29})
     even = tabulated(table()[:, :1], GRID, THETA_I, [0.0], WAVELENGTHS, attributes=known)
-    assert Lobes.of(even).isotropic
+    assert BRDF.of(even).isotropic
 
 
 def test_the_loss_is_what_was_lost(measurement):
-    source = Lobes.of(measurement)
-    brighter = Lobes.of(made(1.1 * table()))
+    source = BRDF.of(measurement)
+    brighter = BRDF.of(made(1.1 * table()))
     cost = loss.Loss.between(source, brighter)
     assert (cost.albedo, cost.log_rms, cost.largest) == pytest.approx((0.1, np.log(1.1), 0.1))
     assert cost.noise == pytest.approx(0.01)
     one = table()
     one[1, 0, 3, 5, 1] *= 2
-    cost = loss.Loss.between(source, Lobes.of(made(one)))
+    cost = loss.Loss.between(source, BRDF.of(made(one)))
     assert cost.largest == pytest.approx(1.0)
     assert cost.where == (30.25, 0.0, GRID.theta[3], GRID.dphi[5])
     one[1, 0, 3, 5, 1] = np.nan
-    cost = loss.Loss.between(source, Lobes.of(made(one)))
+    cost = loss.Loss.between(source, BRDF.of(made(one)))
     assert (cost.unknown, cost.log_rms) == (1, 0.0)
     assert "knows nothing" in cost.sentence()
 

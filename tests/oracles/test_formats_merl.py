@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gonio.brdf import Lobes
+from gonio.brdf import BRDF
 from gonio.colour import PRIMARIES
 from gonio.formats import merl
 from gonio.sphere import angles, direction
@@ -32,7 +32,7 @@ def one_way(wi, wo):
 
 
 def lobes(function, theta_i=(0.0, 45.0, 89.0), **more):
-    return Lobes(function, np.array(PRIMARIES), np.array(theta_i), basis="RGB", **more)
+    return BRDF(function, np.array(PRIMARIES), np.array(theta_i), basis="RGB", **more)
 
 
 def pair_of_bin(i, j, k):
@@ -178,7 +178,7 @@ def test_the_variant_with_360_bins_tells_both_ways_apart(folder):
 def test_a_lambertian_reads_its_albedo_over_pi(folder):
     path = folder / "lambert.binary"
     notes = merl.write(
-        Lobes(lambda wi, wo: np.full((len(wi), 1), 0.5 / np.pi), np.array([550.0]), np.array([0.0])), path
+        BRDF(lambda wi, wo: np.full((len(wi), 1), 0.5 / np.pi), np.array([550.0]), np.array([0.0])), path
     )
     assert any("beyond 0 degrees" in note for note in notes)
     content = path.read_bytes()
@@ -213,7 +213,7 @@ def test_colours_that_srgb_does_not_have_are_cut_and_counted(folder):
         return np.full((len(wi), 3), 0.1) * (0.0, 1.0, 0.0)
 
     path = folder / "green.binary"
-    notes = merl.write(Lobes(pure, np.array([450.0, 510.0, 570.0]), np.array([0.0, 89.0])), path)
+    notes = merl.write(BRDF(pure, np.array([450.0, 510.0, 570.0]), np.array([0.0, 89.0])), path)
     assert any("negative" in note for note in notes)
     planes = np.frombuffer(path.read_bytes(), "<f8", offset=12).reshape(3, -1)
     assert set(np.unique(planes[0])) == {-1.0, 0.0}

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gonio.brdf import Lobes
+from gonio.brdf import BRDF
 from gonio.detectors import HemisphereGrid
 from gonio.formats import pab
 from gonio.sphere import angles, direction, rotate_z
@@ -43,8 +43,8 @@ def anisotropic(wi, wo):
 
 
 SOURCES = {
-    "isotropic": Lobes(chiral, COLOURS, np.array([0.0, 20.0, 40.0, 60.0]), detector=GRID),
-    "anisotropic": Lobes(
+    "isotropic": BRDF(chiral, COLOURS, np.array([0.0, 20.0, 40.0, 60.0]), detector=GRID),
+    "anisotropic": BRDF(
         anisotropic,
         COLOURS,
         np.array([0.0, 30.0, 60.0]),
@@ -77,7 +77,7 @@ def test_a_set_comes_back_as_it_was(tmp_path, source):
 
 
 def test_a_file_is_what_the_format_says(tmp_path):
-    lobes = Lobes(
+    lobes = BRDF(
         lambda wi, wo: anisotropic(wi, wo)[:, 1:2],
         np.array([550.0]),
         np.array([30.0]),
@@ -106,7 +106,7 @@ def test_a_file_is_what_the_format_says(tmp_path):
 
 def test_a_lambertian_reads_its_albedo_over_pi_and_grey_is_grey(tmp_path):
     for channels in (1, 3):
-        lobes = Lobes(
+        lobes = BRDF(
             lambda wi, wo, channels=channels: np.full((len(wi), channels), 0.5 / np.pi),
             COLOURS[:channels],
             np.array([0.0, 45.0]),
@@ -217,7 +217,7 @@ def test_what_is_not_known_has_no_line(tmp_path):
         return np.where(wo[:, 2:] < np.cos(np.radians(45.0)), 1.0, np.nan)
 
     path = tmp_path / "holes.pab"
-    lobes = Lobes(above_45, np.array([550.0]), np.array([0.0, 30.0]), detector=GRID)
+    lobes = BRDF(above_45, np.array([550.0]), np.array([0.0, 30.0]), detector=GRID)
     # Of the cap, eight rings of 10 degrees and half a one, those up to 45 degrees hold nothing.
     assert pab.write(lobes, path)[1].startswith("50.00% of the bins")
     values = values_of(pab.read(path))
@@ -285,7 +285,7 @@ def test_nothing_is_left_behind_where_nothing_can_be_written(tmp_path):
         raise RuntimeError("no such lobe")
 
     with pytest.raises(RuntimeError):
-        pab.write(Lobes(fails, COLOURS, np.array([0.0]), detector=GRID), tmp_path / "set.pab")
+        pab.write(BRDF(fails, COLOURS, np.array([0.0]), detector=GRID), tmp_path / "set.pab")
     assert not list(tmp_path.iterdir())
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from gonio.brdf import Lobes
+from gonio.brdf import BRDF
 from gonio.formats import klems, radiance, tensor_tree
 from gonio.formats.text import numbers
 from gonio.sphere import angles, direction, half_vector, rotate_z
@@ -64,10 +64,10 @@ def reciprocal(wi, wo):
 
 
 SOURCES = {
-    "chiral": Lobes(chiral, COLOURS, THETA_I, attributes={"title": 'a <chiral> & "odd"\x07 lobe'}),
-    "anisotropic": Lobes(anisotropic, COLOURS, THETA_I, np.arange(0.0, 360.0, 15.0), isotropic=False),
-    "reciprocal": Lobes(reciprocal, COLOURS, THETA_I),
-    "lambertian": Lobes(lambda wi, wo: np.full((len(wi), 1), 0.5 / np.pi), np.array([550.0]), THETA_I),
+    "chiral": BRDF(chiral, COLOURS, THETA_I, attributes={"title": 'a <chiral> & "odd"\x07 lobe'}),
+    "anisotropic": BRDF(anisotropic, COLOURS, THETA_I, np.arange(0.0, 360.0, 15.0), isotropic=False),
+    "reciprocal": BRDF(reciprocal, COLOURS, THETA_I),
+    "lambertian": BRDF(lambda wi, wo: np.full((len(wi), 1), 0.5 / np.pi), np.array([550.0]), THETA_I),
 }
 CASES = [
     (source, variant) for source in SOURCES for variant in VARIANTS if (source, variant[6:]) != ("anisotropic", "3")
@@ -205,7 +205,7 @@ def test_the_matrix_is_the_one_that_radiance_makes_of_the_function(tmp_path):
     )
     theirs = run(tmp_path, "bsdf2klems", "-q", "-n", "256", "-forward", "+backward", "-f", "chiral.cal", "chiral")
     radiance.write(
-        Lobes(lambda wi, wo: chiral(wi, wo)[:, 2:], np.array([550.0]), THETA_I), tmp_path / "ours.xml", "klems-quarter"
+        BRDF(lambda wi, wo: chiral(wi, wo)[:, 2:], np.array([550.0]), THETA_I), tmp_path / "ours.xml", "klems-quarter"
     )
     first = re.compile("Reflection Back.*?<ScatteringData>(.*?)</ScatteringData>", re.DOTALL)
     ours, theirs = (numbers(first.search(t)[1]) for t in ((tmp_path / "ours.xml").read_text(), theirs))
@@ -241,7 +241,7 @@ def test_grey_is_grey_and_colours_come_back(tmp_path):
     wi, wo = pairs(200)
     for variant in ("klems-full", "tensor3", "tensor4"):
         path = tmp_path / f"grey_{variant}.xml"
-        radiance.write(Lobes(lambda wi, wo: chiral(wi, wo) / GAINS, COLOURS, THETA_I), path, variant)
+        radiance.write(BRDF(lambda wi, wo: chiral(wi, wo) / GAINS, COLOURS, THETA_I), path, variant)
         values, _ = query(path, wi, wo)
         np.testing.assert_allclose(values, np.broadcast_to(values[:, 1:2], values.shape), rtol=0.05)
     for variant in ("klems-full", "tensor4"):
@@ -261,7 +261,7 @@ def test_colours_of_a_rank_3_tree_are_written_if_radiance_can_read_them(written,
         return chiral(wi, wo) - 0.02 * GAINS
 
     path = tmp_path / "dark.xml"
-    assert not radiance.write(Lobes(without_floor, COLOURS, THETA_I), path, "tensor3")
+    assert not radiance.write(BRDF(without_floor, COLOURS, THETA_I), path, "tensor3")
     wi, wo = pairs(500)
     values, _ = query(path, wi, wo)
     ours = radiance.read(path).evaluate(wi, wo) / radiance.WHITE
@@ -370,7 +370,7 @@ def test_what_is_not_known_is_said(tmp_path):
         return np.where(wo[:, 2:] < np.cos(np.radians(20.0)), 1.0, np.nan)
 
     path = tmp_path / "holes.xml"
-    notes = radiance.write(Lobes(above_20, np.array([550.0]), np.arange(0.0, 61.0, 10.0)), path)
+    notes = radiance.write(BRDF(above_20, np.array([550.0]), np.arange(0.0, 61.0, 10.0)), path)
     assert any("beyond 60 degrees" in note for note in notes)
     # The cap and the second ring of 8, of 145 exiting patches; the ring from 15 to 25 degrees is known in part.
     assert any(f"of {9 / 145:.2%} of the pairs" in note for note in notes)

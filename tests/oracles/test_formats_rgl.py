@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gonio.brdf import NOMINAL, Lobes
+from gonio.brdf import BRDF, NOMINAL
 from gonio.detectors import HemisphereGrid
 from gonio.formats import rgl
 from gonio.models import GGX, Beckmann, Lambert, Microfacet, SmithSeparable
@@ -24,7 +24,7 @@ def microfacets(distribution):
 
 
 def lobes(evaluate, wavelengths=RGB, theta_i=np.arange(0.0, 90.0, 5.0), phi_i=np.zeros(1), basis="RGB"):  # noqa: B008
-    return Lobes(
+    return BRDF(
         evaluate=evaluate,
         wavelengths=np.array(wavelengths),
         theta_i=theta_i,
@@ -331,7 +331,7 @@ def test_known_incidences_are_nodes():
 
 def test_a_measured_table_survives(tmp_path):
     grid = HemisphereGrid(theta_step=1.5, phi_step=3.0)
-    table = Lobes.of(SOURCES["gold"].sampled(np.arange(0.0, 90.0, 10.0), [0.0], grid))
+    table = BRDF.of(SOURCES["gold"].sampled(np.arange(0.0, 90.0, 10.0), [0.0], grid))
     assert rgl.write(table, tmp_path / "table.bsdf", colour=True) == [
         "incidences beyond 80 degrees were not measured: the nearest stands for them"
     ]

@@ -18,7 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gonio.brdf import NOMINAL, Lobes
+from gonio.brdf import BRDF, NOMINAL
 from gonio.detectors import HemisphereGrid
 from gonio.formats import astm, bird, json_arrays, openmaterial, table_csv, zemax
 from gonio.formats.scattered import Table, degrees
@@ -57,16 +57,16 @@ def measured(phi_i=(0.0,), turning=0.0, grid=GRID, basis="spectrum", wavelengths
 
 
 def isotropic(**more):
-    return Lobes.of(measured(**more))
+    return BRDF.of(measured(**more))
 
 
 def anisotropic(**more):
-    return Lobes.of(measured(ALL_AROUND, turning=0.1, **more))
+    return BRDF.of(measured(ALL_AROUND, turning=0.1, **more))
 
 
 def lambertian(rho=0.5, wavelengths=WAVELENGTHS):
     values = np.full(len(wavelengths), rho / math.pi)
-    return Lobes(
+    return BRDF(
         lambda wi, wo: np.broadcast_to(values, (len(wo), len(values))),
         np.array(wavelengths), np.array(THETA_I), detector=GRID, attributes={"title": "matt"},
     )  # fmt: skip
@@ -334,7 +334,7 @@ def test_a_grid_of_any_nodes_is_linear_in_the_angles_of_each_incidence():
     table = listed(
         (10, 25, 60), (0,), (0, 3, 10, 30, 33, 60, 75, 90), (0, 20, 50, 90, 140, 200, 250, 300, 330), chiral_550
     )
-    lobes = table.lobes()
+    lobes = table.to_brdf()
     assert lobes.isotropic
     for theta_i in (10.0, 25.0, 60.0):
         _, phi_i, theta_o, dphi = directions(100, most=89)
@@ -364,7 +364,7 @@ def test_between_incidences_lobes_move_with_the_half_vector():
         return np.exp(-(((wh - direction(8.0, 120.0)) / 0.25) ** 2).sum(axis=-1))
 
     nodes = np.arange(0, 91, 2.0)
-    lobes = listed((20, 40, 60), (0,), nodes, np.arange(0, 360, 5.0), of_half).lobes()
+    lobes = listed((20, 40, 60), (0,), nodes, np.arange(0, 360, 5.0), of_half).to_brdf()
     _, phi_i, theta_o, dphi = directions(400, most=75)
     theta_i = np.linspace(20, 60, 400)
     found = lobes.evaluate(direction(theta_i, phi_i), direction(theta_o, phi_i + dphi))[:, 0]
@@ -384,11 +384,11 @@ def test_scattered_directions_are_interpolated_over_triangles():
         np.full(4000, 40.0), np.full(4000, 15.0), theta, phi - 15, flat(theta, phi)[:, None], np.array([550.0])
     )
     _, _, theta_o, phi_o = directions(300, most=85)
-    lobes = dataclasses.replace(table, isotropic=False).lobes()
+    lobes = dataclasses.replace(table, isotropic=False).to_brdf()
     found = lobes.evaluate(direction(np.full(300, 40.0), 15.0), direction(theta_o, phi_o))[:, 0]
     np.testing.assert_allclose(found, flat(theta_o, phi_o), rtol=1e-9)
     # A single azimuth of the light: without being told otherwise, the lobe turns with it.
-    turned = table.lobes().evaluate(direction(np.full(300, 40.0), 95.0), direction(theta_o, phi_o + 80))[:, 0]
+    turned = table.to_brdf().evaluate(direction(np.full(300, 40.0), 95.0), direction(theta_o, phi_o + 80))[:, 0]
     np.testing.assert_allclose(turned, flat(theta_o, phi_o), rtol=1e-9)
 
 
@@ -402,7 +402,7 @@ def test_the_azimuth_of_the_light_is_linear_and_closes():
     table = dataclasses.replace(
         table, **{n: getattr(table, n)[keep] for n in ("theta_i", "phi_i", "theta_o", "dphi", "brdf")}
     )
-    lobes = table.lobes()
+    lobes = table.to_brdf()
     phi_i = np.linspace(-5, 360, 400)
     found = lobes.evaluate(direction(np.full(400, 30.0), phi_i), direction(np.full(400, 40.0), 77.0))[:, 0]
     np.testing.assert_allclose(found, turning(0, phi_i, 0, 0), atol=0.1 * np.radians(10) ** 2 / 8)
@@ -412,7 +412,7 @@ def test_the_azimuth_of_the_light_is_linear_and_closes():
 
 def test_between_azimuths_lobes_turn_with_the_light():
     axes = ((20, 50), range(0, 360, 30), range(0, 91, 5), range(0, 360, 5))
-    told = [listed(*axes, chiral_550, isotropic=isotropic).lobes() for isotropic in (True, False)]
+    told = [listed(*axes, chiral_550, isotropic=isotropic).to_brdf() for isotropic in (True, False)]
     theta_i, phi_i, theta_o, phi_o = directions(500)
     wi, wo = direction(20 + theta_i / 4, phi_i), direction(theta_o, phi_o)
     np.testing.assert_allclose(told[1].evaluate(wi, wo), told[0].evaluate(wi, wo), rtol=1e-9)
@@ -430,7 +430,7 @@ def test_light_from_the_normal_has_no_azimuth():
         n: np.concatenate([getattr(first, n), getattr(more, n)])
         for n in ("theta_i", "phi_i", "theta_o", "dphi", "brdf")
     }
-    lobes = Table(**columns, wavelengths=np.array([550.0])).lobes()
+    lobes = Table(**columns, wavelengths=np.array([550.0])).to_brdf()
     assert not lobes.isotropic
     phi_i = np.arange(0, 360, 7.0)
     found = lobes.evaluate(direction(np.zeros(len(phi_i)), phi_i), direction(np.full(len(phi_i), 45.0), 30.0))
@@ -441,7 +441,7 @@ def test_a_plane_of_incidence_says_nothing_about_what_lies_outside_of_it():
     theta = np.concatenate([np.arange(0.0, 80, 4), -np.arange(2.0, 80, 5)])
     n = len(theta)
     table = Table(np.full(n, 30.0), np.zeros(n), theta, np.zeros(n), (1 + theta / 100)[:, None], np.array([550.0]))
-    lobes = table.lobes()
+    lobes = table.to_brdf()
     wi = direction(np.full(4, 30.0), 0.0)
     inside = lobes.evaluate(wi, direction([5.0, 37.0, 33.0, 51.0], [0.0, 0.0, 180.0, 180.4]))[:, 0]
     np.testing.assert_allclose(inside, [1.05, 1.37, 0.67, 0.49], rtol=1e-9)
@@ -454,7 +454,7 @@ def test_a_plane_of_incidence_says_nothing_about_what_lies_outside_of_it():
 def test_holes_stay_holes_and_rims_are_not_extended():
     table = listed((30,), (0,), np.arange(0, 71, 5.0), np.arange(0, 360, 10.0), chiral_550)
     shadow = (np.abs(table.theta_o - 30) <= 20) & (np.minimum(table.dphi, 360 - table.dphi) <= 20)
-    lobes = dataclasses.replace(table, brdf=np.where(shadow[:, None], np.nan, table.brdf)).lobes()
+    lobes = dataclasses.replace(table, brdf=np.where(shadow[:, None], np.nan, table.brdf)).to_brdf()
     wi = direction(np.full(5, 30.0), 0.0)
     found = lobes.evaluate(wi, direction([30.0, 30.0, 72.0, 73.0, 89.0], [0.0, 170.0, 90.0, 90.0, 0.0]))[:, 0]
     assert np.isnan(found).tolist() == [True, False, False, True, True]
@@ -464,7 +464,7 @@ def test_one_side_of_an_isotropic_lobe_stands_for_both():
     table = listed((0, 50), (0,), np.arange(0, 91, 10.0), np.arange(0, 181, 20.0), chiral_550)
     theta_o, dphi = np.array([15.0, 44.0, 80.0]), np.array([13.0, 90.0, 171.0])
     wi = direction(np.full(3, 50.0), 0.0)
-    left, right = (table.lobes().evaluate(wi, direction(theta_o, sign * dphi)) for sign in (1, -1))
+    left, right = (table.to_brdf().evaluate(wi, direction(theta_o, sign * dphi)) for sign in (1, -1))
     np.testing.assert_allclose(left, right, rtol=1e-12)
     assert np.isfinite(left).all()
 
@@ -485,16 +485,16 @@ def test_repeated_rows_are_averaged_and_absurd_tables_refused():
         Table.of_rows(many % 90, many, many % 89, many, many + 1, many)
     several = np.arange(20_000.0)
     with pytest.raises(ValueError, match="more than 10000"):
-        Table(several / 300, several, several % 89, several, several[:, None], np.array([550.0])).lobes()
+        Table(several / 300, several, several % 89, several, several[:, None], np.array([550.0])).to_brdf()
     with pytest.raises(ValueError, match="too many"):
-        Table(many % 90, many, many % 89, many, many[:, None], np.array([550.0]), isotropic=False).lobes()
+        Table(many % 90, many, many % 89, many, many[:, None], np.array([550.0]), isotropic=False).to_brdf()
     with pytest.raises(ValueError, match=r"theta_o = 91 must lie between 0 and 90"):
-        dataclasses.replace(table, theta_o=np.array([91.0])).lobes()
+        dataclasses.replace(table, theta_o=np.array([91.0])).to_brdf()
 
 
 def test_interpolated_lists_keep_their_errors():
     table = listed((20, 50), (0,), np.arange(0, 91, 7.5), np.arange(0, 360, 20.0), chiral_550)
-    lobes = dataclasses.replace(table, standard_error=0.02 * table.brdf).lobes()
+    lobes = dataclasses.replace(table, standard_error=0.02 * table.brdf).to_brdf()
     data = lobes.measured().dataset
     np.testing.assert_allclose(data["brdf_standard_error"], 0.02 * data["brdf"], rtol=1e-9)
 
@@ -524,7 +524,7 @@ def test_the_csv_counts_hits_and_tells_where_it_came_from(tmp_path):
     about = dataclasses.replace(
         counted, attributes={**source.attributes, "title": "two\nlines", "experiment": '{"seed": 7}'}
     )
-    table_csv.write(Lobes.of(about), path)
+    table_csv.write(BRDF.of(about), path)
     frame = pandas.read_csv(path, comment="#")
     np.testing.assert_array_equal(frame["count"], np.repeat(hits.ravel(), len(WAVELENGTHS)))
     back = table_csv.read(path)
@@ -704,7 +704,7 @@ def test_negative_values_and_missing_errors_are_told(tmp_path):
     data = source.external.copy(deep=True)
     data["brdf"][0, 0, 0, 0, 0, 0] = -1.0
     data["brdf_standard_error"][0, 0, 0, 3, 0, 0] = np.nan
-    notes = bird.write(Lobes.of(dataclasses.replace(source, external=data)), path)
+    notes = bird.write(BRDF.of(dataclasses.replace(source, external=data)), path)
     content = json.loads(path.read_text())
     assert "negative" in notes[0]
     assert "uBRDF" not in content["data"]
@@ -859,7 +859,7 @@ def shiny(turn=30.0, turning=0.0, theta_i=(0.0, 20.0, 40.0, 60.0, 80.0), wavelen
         return (0.1 + near**20 * (1 + turning * np.sin(np.radians(phi - 20))))[:, None] * gains
 
     phi_i = np.arange(0, 360, 30.0) if turning else np.zeros(1)
-    return Lobes(
+    return BRDF(
         evaluate, np.array(wavelengths), np.array(theta_i), phi_i, isotropic=not turning,
         detector=HemisphereGrid(theta_step=3.0, phi_step=6.0), attributes={"title": "shiny"},
     )  # fmt: skip
@@ -961,14 +961,14 @@ def test_only_what_exceeds_the_noise_makes_a_lobe_asymmetrical(coarse, tmp_path)
     data["brdf"] = data["brdf"] * (1 + 0.3 * noise)
     for known, symmetry in ((0.3, "PlaneSymmetrical"), (np.nan, "Asymmetrical")):
         data["brdf_standard_error"] = data["brdf"] * known
-        notes = zemax.write(Lobes.of(dataclasses.replace(clean, external=data)), path)
+        notes = zemax.write(BRDF.of(dataclasses.replace(clean, external=data)), path)
         assert Zemax(path).word["Symmetry"] == symmetry
         assert "% of the energy" in " ".join(notes)
 
 
 def test_one_azimuth_of_an_anisotropic_specimen_makes_no_zemax_file(tmp_path):
     with pytest.raises(ValueError, match="one azimuth of the light"):
-        zemax.write(Lobes.of(measured(turning=0.1)), tmp_path / "lobe.bsdf")
+        zemax.write(BRDF.of(measured(turning=0.1)), tmp_path / "lobe.bsdf")
     assert not list(tmp_path.iterdir())
 
 

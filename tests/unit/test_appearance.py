@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gonio import appearance
-from gonio.brdf import Lobes
+from gonio.brdf import BRDF
 from gonio.detectors import HemisphereGrid
 from gonio.measurement import tabulated
 from gonio.models import AshikhminShirley, Beckmann, Lambert, Microfacet, SmithCorrelated, SmithMultipleScattering
@@ -166,7 +166,7 @@ def brushed(wi, wo):
 
 
 def test_brushed_balls_have_streaks_across_their_grain():
-    lobes = Lobes(brushed, np.array([550.0]), np.array([0.0]), np.arange(0.0, 360.0, 30.0), isotropic=False)
+    lobes = BRDF(brushed, np.array([550.0]), np.array([0.0]), np.arange(0.0, 360.0, 30.0), isotropic=False)
     image = appearance.sphere(lobes, SIZE, lamp=(0.0, -1.0, 0.0), sky=None)[..., 1]
     bright = np.nan_to_num(image) > 0.5 * np.nanmax(image)
     rows, columns = np.nonzero(bright)

@@ -48,7 +48,7 @@ from typing import Any, BinaryIO, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.brdf import NOMINAL, Floats, Lobes
+from gonio.brdf import BRDF, NOMINAL, Floats
 from gonio.detectors import HemisphereGrid
 from gonio.sphere import Vectors, angles, direction, half_vector, reflect
 from microsurfaces.atomic_write import atomic_write
@@ -301,7 +301,7 @@ def _density(wm: Vectors, wi: Vectors, ndf: Floats, solid_angle: Floats) -> Floa
     return np.asarray((1 - EVEN) * lobe / lobe.mean() + EVEN * horizon / horizon.mean())
 
 
-def _estimated_ndf(lobes: Lobes) -> Floats:
+def _estimated_ndf(lobes: BRDF) -> Floats:
     """D on the square (v, u): the mean over incidences of 4 f cos(theta_i) cos(theta_o), the channels' mean.
 
     For light that facets reflect once it is D itself, but for their reflectance and masking.
@@ -324,7 +324,7 @@ def _estimated_ndf(lobes: Lobes) -> Floats:
     return np.asarray(ndf / _projected_area(ndf, direction(0.0)))
 
 
-def _summed(lobes: Lobes, wm: Vectors) -> tuple[Floats, Floats]:
+def _summed(lobes: BRDF, wm: Vectors) -> tuple[Floats, Floats]:
     """Sums over incidences of 4 f cos(theta_i) cos(theta_o) at normals `wm` (v, u, 3), weighted, and of the weights."""
     total, weight = np.zeros(wm.shape[:2]), np.zeros(wm.shape[:2])
     for theta in np.arange(1.5, 90.0, 3.0 if lobes.isotropic else 9.0):
@@ -351,7 +351,7 @@ def _filled(total: Floats, weight: Floats) -> Floats:
 # --- Writing ---------------------------------------------------------------------------------------------------------
 
 
-def write(lobes: Lobes, path: Path, colour: bool) -> Sequence[str]:
+def write(lobes: BRDF, path: Path, colour: bool) -> Sequence[str]:
     """Write the BRDF as linear sRGB if `colour`, otherwise at its wavelengths; sentences about what had to be bent.
 
     Raises ValueError if a spectrum is asked for and only colours are known, OSError where the file cannot be written.
@@ -398,7 +398,7 @@ def _count(slices: int, channels: int) -> int:
     return min(MOST, max(FEWEST, math.isqrt(max(0, int(numbers / (channels + 1))))))
 
 
-def _incidences(lobes: Lobes) -> tuple[Floats, Floats]:
+def _incidences(lobes: BRDF) -> tuple[Floats, Floats]:
     """theta_i and phi_i of the file, degrees: those known, and what it takes between them."""
     theta_i = _spaced(lobes.theta_i, 0.0, GRAZING, THETA_STEP[lobes.isotropic])
     steep = theta_i[:-1] >= STEEP
@@ -438,7 +438,7 @@ class Answer:
     """Directions with a value below 0 in some channel."""
 
 
-def _answer(lobes: Lobes, one: Slice) -> Answer:
+def _answer(lobes: BRDF, one: Slice) -> Answer:
     """`lobes` in the directions of a slice."""
     above = one.wo[..., 2] > 0
     f = lobes.evaluate(np.broadcast_to(one.wi, one.wo[above].shape), one.wo[above])
@@ -480,7 +480,7 @@ def _without_gaps(table: Floats, gaps: NDArray[np.bool_], known: NDArray[np.bool
     return np.where(gaps[..., None], table[tuple(nearest)], table)
 
 
-def _gaps(lobes: Lobes) -> list[str]:
+def _gaps(lobes: BRDF) -> list[str]:
     """Sentences about incidences that the file has and that were not known."""
     notes = []
     low, high = float(lobes.theta_i[0]), float(lobes.theta_i[-1])
@@ -595,7 +595,7 @@ class Interpolant:
         return np.unique(np.concatenate(images) % 360)
 
 
-def read(path: Path) -> Lobes:
+def read(path: Path) -> BRDF:
     """A BRDF from a tensor file: ours or EPFL's, colours or spectra, isotropic or not, reductions 1, 2 and 4.
 
     Raises ValueError for what is none.
@@ -609,7 +609,7 @@ def read(path: Path) -> Lobes:
     theta_i = np.unique(np.minimum(np.round(np.degrees(interpolant.theta_i), 4), 90.0))
     phi_i = interpolant.azimuths()
     channels = interpolant.values.shape[-1]
-    return Lobes(
+    return BRDF(
         evaluate=interpolant.evaluate,
         wavelengths=np.array(NOMINAL["RGB"]) if colour else fields["wavelengths"].astype(np.float64),
         theta_i=theta_i,
