@@ -21,12 +21,12 @@ from gonio.detectors import HemisphereGrid, patch_quadrature
 from gonio.interpolation import bracket, bracket_around
 from gonio.measurement import Measurement, tabulated
 from gonio.models import Model, SmithMultipleScattering
-from gonio.sphere import Vectors, angles, direction, rotate_z
+from gonio.sphere import angles, direction, rotate_z
+from microsurfaces.arrays import Floats, Vectors
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Floats = NDArray[np.float64]
 Sky = Callable[[Vectors], Floats]
 """Radiance (..., 3) of the surroundings in world directions (..., 3); z is up, the camera looks along +y."""
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gonio.colour import PRIMARIES, rgb_weights, xyz_of_rgb, xyz_weights
 from gonio.detectors import HemisphereGrid, Klems
 from gonio.measurement import Measurement, tabulated
-from gonio.sphere import Vectors, direction
-
-Floats = NDArray[np.float64]
+from gonio.sphere import direction
+from microsurfaces.arrays import Floats, Vectors
 
 Basis = Literal["spectrum", "RGB", "XYZ", "Y"]
 """What channels are: values at wavelengths, linear sRGB, CIE XYZ of the 1931 2° observer, or its Y; under D65."""

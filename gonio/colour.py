@@ -11,9 +11,9 @@ from importlib import resources
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from microsurfaces.arrays import Floats
 
 Illuminant = Literal["D65", "A", "E"]
 """Daylight, incandescent light, or equal energy at all wavelengths."""

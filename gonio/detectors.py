@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, TypeAdapter, model_validator
 
-from gonio.sphere import Vectors, angles, direction
+from gonio.sphere import angles, direction
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.recipe import Positive, recipe
-
-Floats = NDArray[np.float64]
 
 DEFAULT_NODES = 8
 
@@ -26,9 +25,9 @@ DEFAULT_NODES = 8
 class HemisphereGrid:
     """Bins over the whole hemisphere, rings in theta_o times sectors in dphi = phi_o - phi_i.
 
-    The grid turns with the lamp: dphi = 0 is the lamp's side, 180 the mirror's, for every incidence. Equal steps in
-    angle suit plots and tables; rings of equal projected solid angle give every bin the same share of a Lambertian
-    surface's light, and therefore even noise.
+    The grid turns with the source: dphi = 0 is the source's side, 180 the specular one, for every incidence. Equal
+    steps in angle suit plots and tables; rings of equal projected solid angle give every bin the same share of a
+    Lambertian surface's light, and therefore even noise.
     """
 
     theta_step: Positive = 1.0
@@ -128,7 +127,7 @@ class HemisphereGrid:
         return np.asarray(ring[:, None] * wider.shape[1] + sector).ravel()
 
     def edge_at(self, theta: float) -> bool:
-        """Whether a ring edge lies on `theta` degrees, where rounding would split a mirror lobe."""
+        """Whether a ring edge lies on `theta` degrees, where rounding would split a specular lobe."""
         edges = self.theta_edges[1:-1]
         return bool(edges.size and np.abs(edges - theta).min() < 1e-4)
 
@@ -137,8 +136,8 @@ class HemisphereGrid:
 class Apertures:
     """Round detector apertures at given directions, as a real instrument has.
 
-    Directions are absolute: they do not turn with the lamp. Apertures may overlap and need not cover the hemisphere; a
-    hemispherical total is kept beside them.
+    Directions are absolute: they do not turn with the source. Apertures may overlap and need not cover the hemisphere;
+    a hemispherical total is kept beside them.
     """
 
     directions: Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
@@ -189,7 +188,7 @@ class Klems:
     """The patches of Klems's matrices, as WINDOW and Radiance have them, for the detector and for the light alike.
 
     With this detector light comes from whole patches, too, one after another and cos-weighted over each, so that what
-    is measured are the entries of the matrix itself. Directions are absolute: they do not turn with the lamp.
+    is measured are the entries of the matrix itself. Directions are absolute: they do not turn with the source.
     """
 
     basis: Literal["full", "half", "quarter"] = "full"

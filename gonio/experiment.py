@@ -100,9 +100,9 @@ class Experiment:
         return experiment
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the lamps, and what will be measured."""
-        lamps = self.goniometer.theta_i
-        count = len(lamps) * len(self.goniometer.phi_i)
+        """What a notebook shows: the sources, and what will be measured."""
+        sources = self.goniometer.theta_i
+        count = len(sources) * len(self.goniometer.phi_i)
         paths = self.realisations * self.goniometer.paths
         rows = {
             "surface": self.surface,
@@ -112,7 +112,7 @@ class Experiment:
             "paths": f"{paths:,} an incidence, of {self.realisations} specimen{'s' * (self.realisations > 1)}",
             "seed": self.seed,
         }
-        return html_card(self.title or "Experiment", rows, plane_of_incidence(lamps))
+        return html_card(self.title or "Experiment", rows, plane_of_incidence(sources))
 
     def to_dict(self) -> dict[str, Any]:
         """The experiment as plain tables, every default written out; `kind` first, and only where there is a choice."""

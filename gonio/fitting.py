@@ -28,9 +28,8 @@ from gonio.detectors import Detector, HemisphereGrid
 from gonio.measurement import Measurement
 from gonio.models import Model
 from gonio.models.parameters import bounds, starts, with_values
-from gonio.sphere import Vectors, direction
-
-Array = NDArray[np.float64]
+from gonio.sphere import direction
+from microsurfaces.arrays import Floats, Vectors
 
 CONFIDENCE = 0.95
 """Level of every interval."""
@@ -92,7 +91,7 @@ class Fit:
     model: Model
     """The model with the fitted values."""
     parameters: tuple[Parameter, ...]
-    correlation: Array
+    correlation: Floats
     """Correlations between the parameters (k, k), noise and misfit together."""
     order: str
     """The order of scattering that was fitted."""
@@ -100,7 +99,7 @@ class Fit:
     """In units of what a count carries, summed over all bins."""
     deviance_of_noise: float
     """What the measurement's standard errors lead one to expect of it; NaN if it has none."""
-    parts: Array
+    parts: Floats
     """The deviance of every block of 3 x 3 bins and every incidence, all wavelengths together."""
     bins: int
     """How many numbers were fitted: bins x incidences x wavelengths."""
@@ -192,15 +191,15 @@ class _Lobe(NamedTuple):
     detector: Detector
     kept: NDArray[np.intp]
     """(bins,): which bins of the detector these are, those that are known at all wavelengths."""
-    solid: Array
+    solid: Floats
     """(bins, 1) sr"""
-    energy: Array
+    energy: Floats
     """(bins, W)"""
-    error: Array
+    error: Floats
     """(bins, W), standard errors, NaN if they are not known"""
-    unit: Array
+    unit: Floats
     """(W,): variance per energy, what one count would carry."""
-    background: Array
+    background: Floats
     """(bins, W)"""
     blocks: NDArray[np.intp]
     """(bins,): which block of neighbours a bin belongs to; blocks disagree independently about a wrong model."""
@@ -236,7 +235,7 @@ def fit(
     start = _start(model, names)
     lobes, incidences, chosen = _lobes(measurement, order_of(measurement, model), theta_i, wavelengths)
 
-    def prediction(values: Array) -> list[Array]:
+    def prediction(values: Floats) -> list[Floats]:
         candidate = with_values(model, dict(zip(names, values, strict=True)))
         return [predicted(candidate, lobe.wi, lobe.detector, chosen).value[lobe.kept] * lobe.solid for lobe in lobes]
 
@@ -294,7 +293,7 @@ def _penalty(parameters: int, bins: int) -> float:
 # --- Parameters -------------------------------------------------------------------------------------------------------
 
 
-def _start(model: Model, names: Sequence[str]) -> Array:
+def _start(model: Model, names: Sequence[str]) -> Floats:
     """Values of the named parameters of `model`, inside their bounds; ValueError for what cannot be fitted."""
     values = starts(model, names)
     try:
@@ -310,7 +309,7 @@ def _start(model: Model, names: Sequence[str]) -> Array:
 
 def _lobes(
     measurement: Measurement, order: str, theta_i: Iterable[float] | None, wavelengths: Iterable[float] | None
-) -> tuple[list[_Lobe], tuple[tuple[float, float], ...], Array]:
+) -> tuple[list[_Lobe], tuple[tuple[float, float], ...], Floats]:
     """Every incidence to be fitted, their angles, and the wavelengths."""
     data = measurement.dataset
     thetas = _chosen(data["theta_i"].values, theta_i, "theta_i", "degrees")
@@ -337,7 +336,7 @@ def _lobes(
     return lobes, tuple(angles), chosen
 
 
-def _chosen(measured: Array, wanted: Iterable[float] | None, name: str, unit: str) -> Array:
+def _chosen(measured: Floats, wanted: Iterable[float] | None, name: str, unit: str) -> Floats:
     """Those of the `measured` values that are `wanted`."""
     if wanted is None:
         return measured
@@ -349,7 +348,7 @@ def _chosen(measured: Array, wanted: Iterable[float] | None, name: str, unit: st
     return measured[[bool(np.isclose(values, value).any()) for value in measured]]
 
 
-def _joined(detector: Detector, energies: Sequence[Array]) -> tuple[Detector, NDArray[np.intp]]:
+def _joined(detector: Detector, energies: Sequence[Floats]) -> tuple[Detector, NDArray[np.intp]]:
     """The widest bins that still show the lobes' shape, and which of them each bin of `detector` belongs to."""
     alone = np.arange(detector.bins)
     if not isinstance(detector, HemisphereGrid):
@@ -364,7 +363,7 @@ def _joined(detector: Detector, energies: Sequence[Array]) -> tuple[Detector, ND
     return detector, alone
 
 
-def _participation(power: Array) -> float:
+def _participation(power: Floats) -> float:
     """How many bins share the light, those that are not known left out."""
     known = power[np.isfinite(power)]
     return float(known.sum() ** 2 / (known**2).sum())
@@ -385,7 +384,7 @@ def _wider(grid: HemisphereGrid) -> list[HemisphereGrid]:
     ]
 
 
-def _lobe(wi: Vectors, detector: Detector, owner: NDArray[np.intp], energy: Array, error: Array) -> _Lobe:
+def _lobe(wi: Vectors, detector: Detector, owner: NDArray[np.intp], energy: Floats, error: Floats) -> _Lobe:
     energy = _summed(energy, owner, detector.bins)
     kept = np.flatnonzero(np.isfinite(energy).all(axis=1))
     energy, variance = energy[kept], _summed(error**2, owner, detector.bins)[kept]
@@ -398,7 +397,7 @@ def _lobe(wi: Vectors, detector: Detector, owner: NDArray[np.intp], energy: Arra
     return _Lobe(wi, detector, kept, solid, energy, np.sqrt(variance), unit, background, _blocks(detector)[kept])
 
 
-def _summed(values: Array, owner: NDArray[np.intp], bins: int) -> Array:
+def _summed(values: Floats, owner: NDArray[np.intp], bins: int) -> Floats:
     total = np.zeros((bins, values.shape[1]))
     np.add.at(total, owner, values)
     return total
@@ -410,7 +409,7 @@ def _blocks(detector: Detector) -> NDArray[np.intp]:
         return np.arange(detector.bins)
     rings, sectors = detector.shape
     across = -(-sectors // 3)
-    # The mirror direction, in the middle of the sectors, is in the middle of a block.
+    # The specular direction, in the middle of the sectors, is in the middle of a block.
     ring, sector = (np.arange(rings) + 1) // 3, ((np.arange(sectors) - sectors // 2 + 1) % sectors) // 3
     return np.asarray(ring[:, None] * across + sector).ravel()
 
@@ -418,7 +417,7 @@ def _blocks(detector: Detector) -> NDArray[np.intp]:
 # --- Search -----------------------------------------------------------------------------------------------------------
 
 
-def _roots(lobes: Sequence[_Lobe], predictions: Sequence[Array]) -> Array:
+def _roots(lobes: Sequence[_Lobe], predictions: Sequence[Floats]) -> Floats:
     """Signed roots of the deviance of every bin, in units of the noise."""
     roots = []
     for lobe, model in zip(lobes, predictions, strict=True):
@@ -429,7 +428,7 @@ def _roots(lobes: Sequence[_Lobe], predictions: Sequence[Array]) -> Array:
     return np.concatenate(roots)
 
 
-def _kullback(ratio: Array) -> Array:
+def _kullback(ratio: Floats) -> Floats:
     """u ln u - u + 1, accurate where u is 1."""
     x = ratio - 1.0
     near = np.abs(x) < 1e-3
@@ -438,7 +437,7 @@ def _kullback(ratio: Array) -> Array:
     return np.maximum(np.where(near, x * x * (0.5 - x / 6.0 + x * x / 12.0), exact), 0.0)
 
 
-def _search(names: Sequence[str], roots: Callable[[Array], Array], start: Array, limits: Array) -> _Solution:
+def _search(names: Sequence[str], roots: Callable[[Floats], Floats], start: Floats, limits: Floats) -> _Solution:
     """Least squares from the best of a few starts, within limits."""
     from scipy.optimize import least_squares
 
@@ -467,11 +466,11 @@ def _search(names: Sequence[str], roots: Callable[[Array], Array], start: Array,
 class _Solution(NamedTuple):
     """Where a search ended."""
 
-    values: Array
+    values: Floats
     """(k,)"""
-    roots: Array
+    roots: Floats
     """(n,)"""
-    jacobian: Array
+    jacobian: Floats
     """Of the roots, by the values: (n, k)."""
     at_bound: NDArray[np.bool_]
     """(k,)"""
@@ -480,7 +479,7 @@ class _Solution(NamedTuple):
 class _Ruler:
     """Parameters on scales from 1 to 2, logarithmic between limits that are both positive."""
 
-    def __init__(self, limits: Array) -> None:
+    def __init__(self, limits: Floats) -> None:
         self._logarithmic = limits[:, 0] > 0.0
         self._low, high = self._line(limits.T)
         self._length = high - self._low
@@ -488,25 +487,25 @@ class _Ruler:
         self.step = steps / self._length / 1.5
         """Steps of derivatives, relative to a mark."""
 
-    def _line(self, values: Array) -> Array:
+    def _line(self, values: Floats) -> Floats:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self._logarithmic, np.log(values), values)
 
-    def marks(self, values: Array) -> Array:
+    def marks(self, values: Floats) -> Floats:
         """Where values are."""
         return np.asarray(1.0 + (self._line(values) - self._low) / self._length)
 
-    def values(self, marks: Array) -> Array:
+    def values(self, marks: Floats) -> Floats:
         """What is there."""
         line = self._low + (np.asarray(marks) - 1.0) * self._length
         return np.asarray(np.where(self._logarithmic, np.exp(line), line))
 
-    def slopes(self, marks: Array) -> Array:
+    def slopes(self, marks: Floats) -> Floats:
         """How fast values change with marks."""
         return np.asarray(self._length * np.where(self._logarithmic, self.values(marks), 1.0))
 
 
-def _trials(names: Sequence[str], start: Array, limits: Array, roots: Callable[[Array], Array]) -> list[Array]:
+def _trials(names: Sequence[str], start: Floats, limits: Floats, roots: Callable[[Floats], Floats]) -> list[Floats]:
     """Where a search may start: the given place, or one of a grid over all parameters while that is small."""
     places = [_places(name, low, high) for name, (low, high) in zip(names, limits, strict=True)]
     if len(start) <= 2:
@@ -519,7 +518,7 @@ def _trials(names: Sequence[str], start: Array, limits: Array, roots: Callable[[
     return [best]
 
 
-def _places(name: str, low: float, high: float) -> Array:
+def _places(name: str, low: float, high: float) -> Floats:
     """Values between two limits, evenly in the logarithm where the limits are positive."""
     if name == "distance":
         return _DISTANCES[(low <= _DISTANCES) & (high >= _DISTANCES)]
@@ -535,11 +534,11 @@ def _fitted(
     model: Model,
     names: tuple[str, ...],
     solution: _Solution,
-    limits: Array,
+    limits: Floats,
     lobes: Sequence[_Lobe],
-    prediction: Callable[[Array], list[Array]],
+    prediction: Callable[[Floats], list[Floats]],
     incidences: tuple[tuple[float, float], ...],
-    wavelengths: Array,
+    wavelengths: Floats,
 ) -> Fit:
     final = prediction(solution.values)
     noise, misfit, blocks = _covariances(lobes, final, solution.jacobian)
@@ -582,7 +581,7 @@ def _fitted(
     )
 
 
-def _parts(lobes: Sequence[_Lobe], roots: Array) -> Array:
+def _parts(lobes: Sequence[_Lobe], roots: Floats) -> Floats:
     """The deviance of every block of every lobe."""
     each = np.split(roots**2, np.cumsum([lobe.energy.size for lobe in lobes])[:-1])
     return np.concatenate(
@@ -593,7 +592,7 @@ def _parts(lobes: Sequence[_Lobe], roots: Array) -> Array:
     )
 
 
-def _deviance_of_noise(lobes: Sequence[_Lobe], final: Sequence[Array]) -> float:
+def _deviance_of_noise(lobes: Sequence[_Lobe], final: Sequence[Floats]) -> float:
     """The deviance that the measurement's standard errors lead one to expect."""
     return float(
         sum(
@@ -603,7 +602,7 @@ def _deviance_of_noise(lobes: Sequence[_Lobe], final: Sequence[Array]) -> float:
     )
 
 
-def _covariances(lobes: Sequence[_Lobe], final: Sequence[Array], jacobian: Array) -> tuple[Array, Array, int]:
+def _covariances(lobes: Sequence[_Lobe], final: Sequence[Floats], jacobian: Floats) -> tuple[Floats, Floats, int]:
     """Covariance of the parameters from noise, and from misfit beyond it; and how many blocks hold light.
 
     Of noise that is not known it is NaN, and all disagreement counts as misfit.
@@ -630,7 +629,7 @@ def _covariances(lobes: Sequence[_Lobe], final: Sequence[Array], jacobian: Array
     return inverse @ noise @ inverse, inverse @ beyond @ inverse, blocks
 
 
-def _excess(disagreement: Array, noise: Array, jacobian: Array) -> Array:
+def _excess(disagreement: Floats, noise: Floats, jacobian: Floats) -> Floats:
     """What `disagreement` has beyond `noise`, in every direction of the parameters; nothing where it has less."""
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     kept = values > 1e-12 * values.max()
@@ -640,7 +639,7 @@ def _excess(disagreement: Array, noise: Array, jacobian: Array) -> Array:
     return np.asarray(root @ (axes * np.maximum(more, 0.0)) @ axes.T @ root.T)
 
 
-def _interval(value: float, total: float, misfit: float, freedom: int, limits: Array) -> tuple[float, float]:
+def _interval(value: float, total: float, misfit: float, freedom: int, limits: Floats) -> tuple[float, float]:
     """Confidence interval from the `total` variance, with the degrees of freedom that the misfit's share leaves.
 
     (Satterthwaite.)
@@ -662,14 +661,14 @@ def _of_facets(statistics: Mapping[str, float | None], name: str) -> float | Non
 
 
 def _normal_reflectance(
-    model: Model, names: Sequence[str], values: Array, covariance: Array, wavelengths: Array
+    model: Model, names: Sequence[str], values: Floats, covariance: Floats, wavelengths: Floats
 ) -> tuple[tuple[float, float, float], ...]:
     """F0 and its standard error where the refractive index was fitted; by the delta method."""
     chosen = [k for k, name in enumerate(names) if name in ("material.eta", "material.k", "local.eta", "local.k")]
     if not chosen:
         return ()
 
-    def reflectance(moved: Array) -> Array:
+    def reflectance(moved: Floats) -> Floats:
         candidate = with_values(model, {names[k]: moved[k] for k in chosen})
         material = getattr(candidate, names[chosen[0]].split(".")[0])
         return np.asarray(material.reflectance(np.array(1.0), wavelengths))

@@ -1,4 +1,4 @@
-"""Small drawings of the plane of incidence for notebooks, as SVG: lamps on the left, mirror directions, lobes."""
+"""Small drawings of the plane of incidence for notebooks, as SVG: sources on the left, specular directions, lobes."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Floats = NDArray[np.float64]
-
-LAMP, MIRROR, LOBE = "#d98200", "#0072b2", "#2a788e"
-"""Colours of the lamp, of the mirror direction and of lobes."""
+SOURCE, SPECULAR, LOBE = "#d98200", "#0072b2", "#2a788e"
+"""Colours of the source, of the specular direction and of lobes."""
 
 RADIUS = 100
 """Of the half circle of directions, pixels."""
@@ -26,8 +25,8 @@ IN_PLANE = 5.0
 """Degrees of arc on either side of the plane over which a lobe is averaged."""
 
 
-def plane_of_incidence(lamps: Sequence[float], lobes: Iterable[tuple[Floats, Floats]] = ()) -> str:
-    """An SVG of lamps at these polar angles in degrees and their mirror directions, and of lobes.
+def plane_of_incidence(sources: Sequence[float], lobes: Iterable[tuple[Floats, Floats]] = ()) -> str:
+    """An SVG of sources at these polar angles in degrees and their specular directions, and of lobes.
 
     A lobe is signed angles in degrees, positive on the mirror's side, and radii from 0 to 1.
     """
@@ -36,15 +35,15 @@ def plane_of_incidence(lamps: Sequence[float], lobes: Iterable[tuple[Floats, Flo
     for angles, radii in lobes:
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(*_at(angles, r * radii), strict=True))
         lines.append(f'<polygon points="0,0 {points}" fill="{LOBE}" fill-opacity="0.25" stroke="{LOBE}"/>')
-    for lamp in lamps:
-        for angle, colour in ((-lamp, LAMP), (lamp, MIRROR)):
+    for source in sources:
+        for angle, colour in ((-source, SOURCE), (source, SPECULAR)):
             (x0, x1), (y0, y1) = _at(np.full(2, angle), np.array([0.9 * r, 1.1 * r]))
             lines.append(
                 f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{colour}" stroke-width="3"/>'
             )
     box = f"{-width // 2} {-r - 15} {width} {r + 20}"
     words = (
-        "<title>The plane of incidence: lamps orange, mirror directions blue, each lobe on a scale of its own</title>"
+        "<title>Plane of incidence: sources orange, specular directions blue, each lobe on a scale of its own</title>"
     )
     return f'<svg width="{width}" height="{r + 20}" viewBox="{box}" role="img">{words}{"".join(lines)}</svg>'
 
@@ -54,9 +53,9 @@ def _at(angles: Floats, radii: Floats) -> tuple[Floats, Floats]:
     return radii * np.sin(np.radians(angles)), -radii * np.cos(np.radians(angles))
 
 
-def thinned(lamps: Sequence[float]) -> list[int]:
-    """Which `SHOWN` of the lamps to draw, evenly."""
-    return sorted({round(k) for k in np.linspace(0, len(lamps) - 1, min(SHOWN, len(lamps)))})
+def thinned(sources: Sequence[float]) -> list[int]:
+    """Which `SHOWN` of the sources to draw, evenly."""
+    return sorted({round(k) for k in np.linspace(0, len(sources) - 1, min(SHOWN, len(sources)))})
 
 
 def in_plane(data: xr.Dataset) -> tuple[Floats, Floats]:

@@ -15,13 +15,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gonio.detectors import HemisphereGrid
-from gonio.sphere import Vectors, angles, direction, half_vector, reflect
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from gonio.sphere import angles, direction, half_vector, reflect
+from microsurfaces.arrays import Floats, Indices, Vectors
 
 Extrapolation = Literal["nearest"]
 """What stands for light from outside the measured incidences."""

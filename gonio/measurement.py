@@ -23,12 +23,11 @@ from gonio.optics import Material
 from gonio.sphere import angles
 from gonio.tally import MAX_PATHS, UNIT, UInt128
 from microsurfaces import Facets, Surface
+from microsurfaces.arrays import Floats
 from microsurfaces.html_card import html_card
 
 if TYPE_CHECKING:
     import xarray as xr
-
-Floats = NDArray[np.float64]
 
 
 def orders(count: int) -> tuple[str, ...]:
@@ -156,30 +155,30 @@ class Measurement:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: lobes in the plane of incidence, and key numbers."""
-        lamps = sorted({theta for theta, _ in self.incidences()})
+        sources = sorted({theta for theta, _ in self.incidences()})
         title = str(self.attributes.get("title") or "Measurement")
-        return html_card(title, self._key_numbers(lamps), self.sketch())
+        return html_card(title, self._key_numbers(sources), self.sketch())
 
-    def _key_numbers(self, lamps: list[float]) -> dict[str, object]:
+    def _key_numbers(self, sources: list[float]) -> dict[str, object]:
         """What a notebook tells, in words."""
         data, material = self.dataset, self.material
         middle = len(self.wavelengths) // 2
         rows: dict[str, object] = {
-            "theta_i": ", ".join(f"{theta:g}°" for theta in lamps) or "nothing was measured",
+            "theta_i": ", ".join(f"{theta:g}°" for theta in sources) or "nothing was measured",
             "phi_i": "any: isotropic" if self.isotropic else ", ".join(f"{phi:g}°" for phi in data["phi_i"].values),
             "wavelengths": ", ".join(self.channels),
             "detector": self.detector,
         }
         if material is not None:
             rows["material"] = material
-        if lamps:
+        if sources:
             first = np.argwhere(self.measured)[0]
             value, error = (
                 float(data[name].sel(order="all").values[*first, middle])
                 for name in ("albedo", "albedo_standard_error")
             )
             known = f" ± {error:.1g}" if np.isfinite(error) else ""
-            rows["albedo"] = f"{value:.4g}{known} at theta_i = {lamps[0]:g}°, {self.channels[middle]}"
+            rows["albedo"] = f"{value:.4g}{known} at theta_i = {sources[0]:g}°, {self.channels[middle]}"
         if self.sums is None:
             rows["origin"] = self.attributes.get("origin", "external")
         else:
@@ -188,8 +187,8 @@ class Measurement:
 
     def sketch(self) -> str:
         """A small drawing, as SVG: lobes of a few incidences at the middle wavelength."""
-        lamps = sorted({theta for theta, _ in self.incidences()})
-        shown = [lamps[k] for k in thinned(lamps)]
+        sources = sorted({theta for theta, _ in self.incidences()})
+        shown = [sources[k] for k in thinned(sources)]
         if "dphi" not in self.dataset.dims:
             return plane_of_incidence(shown)
         measured, nodes = self.measured, list(self.dataset["theta_i"].values)

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.wording import percent
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -114,20 +116,20 @@ class Noises:
 
     def _told(self, what: str, noise: Noise) -> str:
         return (
-            f"Relative standard error of the {what}: {_percent(noise.total)} "
-            f"({_percent(noise.monte_carlo)} Monte Carlo noise, {_percent(noise.specimens)} because specimens differ)."
+            f"Relative standard error of the {what}: {percent(noise.total)} "
+            f"({percent(noise.monte_carlo)} Monte Carlo noise, {percent(noise.specimens)} because specimens differ)."
         )
 
     def _advice(self) -> str:
         """What helps the bins, and what does not."""
         bins, more = self.bins, MORE * self.realisations
-        paths = f"{MORE} times the paths give {_percent(bins.with_more(paths=MORE))}"
-        larger = f"patches of twice the side {_percent(bins.with_more(area=MORE))}"
+        paths = f"{MORE} times the paths give {percent(bins.with_more(paths=MORE))}"
+        larger = f"patches of twice the side {percent(bins.with_more(area=MORE))}"
         if bins.monte_carlo >= bins.specimens:
             return f"More paths help most: for the bins {paths}, {larger}."
         return (
             f"Larger or more specimens help most: for the bins {larger}, realisations = {more} "
-            f"{_percent(bins.with_more(specimens=MORE))}, but {paths}."
+            f"{percent(bins.with_more(specimens=MORE))}, but {paths}."
         )
 
 
@@ -146,7 +148,3 @@ def _rooted(monte_carlo: float, specimens: float) -> Noise:
     """Relative errors from their mean squares; what is not there at all may come out negative, and NaN is kept."""
     squares = monte_carlo, specimens
     return Noise(*(square if math.isnan(square) else math.sqrt(max(square, 0.0)) for square in squares))
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %"

@@ -27,10 +27,10 @@ from gonio.formats import export
 from gonio.formats.rgl import read
 from gonio.measurement import Measurement
 from gonio.sphere import direction
+from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
 from microsurfaces.recipe import did_you_mean
 
-Floats = NDArray[np.float64]
 PathLike = str | os.PathLike[str]
 
 SCENES = ("sphere", "cylinder", "ball")

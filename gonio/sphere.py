@@ -2,8 +2,8 @@
 
 z is up, the macroscopic normal. `wi` points to the light, `wo` to the detector: unit vectors, both AWAY from the
 surface; `wm` is a facet normal and `wh` the half vector. theta is counted from z, phi from +x counter-clockwise, both
-in degrees and only at the edges of the program. Light from `phi_i` has its mirror direction at `phi_i + 180`; the
-relative azimuth `dphi = phi_o - phi_i` is 0 on the lamp's side and 180 on the mirror's.
+in degrees and only at the edges of the program. Light from `phi_i` has its specular direction at `phi_i + 180`; the
+relative azimuth `dphi = phi_o - phi_i` is 0 on the source's side and 180 on the mirror's.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Vectors = NDArray[np.float64]
-"""Unit vectors, shape (..., 3)."""
+from microsurfaces.arrays import Vectors
 
 
 def direction(theta: ArrayLike, phi: ArrayLike = 0.0) -> Vectors:

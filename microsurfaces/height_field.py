@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from microsurfaces.arrays import Floats
 from microsurfaces.html_card import html_card, image
 from microsurfaces.mesh import (
     Facets,
-    Floats,
     Mesh,
     Statistics,
     height_fields,

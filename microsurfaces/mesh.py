@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from microsurfaces.arrays import Floats
+
 if TYPE_CHECKING:
     import trimesh
-
-Floats = NDArray[np.float64]
 
 _BLOCK = 1 << 14  # faces handled at a time: temporaries stay in the cache
 _WALL = 1e-9  # facets steeper than this cosine count as vertical

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from microsurfaces.arrays import Floats
 from microsurfaces.height_field import HeightField
-from microsurfaces.mesh import Floats, Mesh, SlopeLaw
+from microsurfaces.mesh import Mesh, SlopeLaw
 from microsurfaces.recipe import Positive, recipe
 
 

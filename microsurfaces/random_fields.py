@@ -8,8 +8,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
+from microsurfaces.arrays import Floats
 from microsurfaces.height_field import HeightField
-from microsurfaces.mesh import Floats, SlopeLaw
+from microsurfaces.mesh import SlopeLaw
 from microsurfaces.recipe import Positive, recipe
 
 

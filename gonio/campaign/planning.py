@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gonio.campaign.results import merge
 from gonio.campaign.running import cores
@@ -28,6 +27,7 @@ from gonio.experiment import Experiment
 from gonio.goniometer import median_error
 from gonio.tally import MAX_PATHS, Tally
 from gonio.toml_files import InputError
+from microsurfaces.arrays import Floats
 
 PILOTS = 16
 """No more units are measured, unless there are more workers."""
@@ -44,7 +44,6 @@ SMALLEST, GROWTH = 64, 8
 MERGED = 2
 """Of so many pilots the merged file is looked at."""
 
-Floats = NDArray[np.float64]
 Told = Callable[[int, int], None]
 
 

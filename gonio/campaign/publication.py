@@ -237,7 +237,7 @@ class _Publication:
         versions = ", ".join(f"{name} {version}" for name, version in self.manifest["versions"].items())
         return (
             "Directions point away from the surface; angles are in degrees, azimuths from x counter-clockwise, "
-            "dphi = phi_o - phi_i (0 on the lamp's side, 180 on the mirror's); lengths are in µm, wavelengths in nm. "
+            "dphi = phi_o - phi_i (0 on the source's side, 180 on the mirror's); lengths are in µm, wavelengths in nm. "
             "Geometric optics, unpolarised light: no diffraction, no interference. "
             f"Versions: {versions}. Experiment 1, from which the others differ in the parameters above; saved as "
             "experiment.toml it is repeated by `gonio run experiment.toml`:\n\n"
@@ -251,7 +251,7 @@ class _Publication:
             point = self._points[number]
             words = ", ".join(f"{key} = {cell(value)}" for key, value in point.items()) or f"experiment {number + 1}"
             lines.append(f"| {words} | ![lobes](thumbnails/{names[number]}.svg) |")
-        return "Lobes in the plane of incidence; lamps orange, mirror directions blue.\n\n" + "\n".join(lines)
+        return "Lobes in the plane of incidence; sources orange, specular directions blue.\n\n" + "\n".join(lines)
 
 
 def _contents(sample: xr.Dataset) -> str:

@@ -20,13 +20,13 @@ from gonio.detectors import Detector, HemisphereGrid, Klems
 from gonio.measurement import Measurement
 from gonio.models import Model
 from gonio.models.averages import TOLERANCE, Estimate, RandomWalk
-from gonio.sphere import Vectors, direction
+from gonio.sphere import direction
+from gonio.wording import percent
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
     import xarray as xr
-
-Array = NDArray[np.float64]
 
 ENOUGH_HITS = 10
 """Bins with fewer hits are pooled with their neighbours before anything is said about a bin."""
@@ -91,7 +91,7 @@ class Comparison:
     realisations: int
     """How many specimens the measurement holds (the fewest of any incidence); 0 if that is not known."""
     beam_half_angle: float
-    """Half the angle of the lamp's beam, degrees."""
+    """Half the angle of the source's beam, degrees."""
     floor: float
     """Share of the peak below which logarithms were not compared."""
     channels: tuple[str, ...]
@@ -119,7 +119,7 @@ class Comparison:
         if self.beam_half_angle == 0.0:
             return [scope]
         beam = (
-            f"The lamp's beam has a half angle of {self.beam_half_angle:g} degrees, over which the model is not "
+            f"The source's beam has a half angle of {self.beam_half_angle:g} degrees, over which the model is not "
             "averaged: differences of narrow lobes may be due to that."
         )
         return [scope, beam]
@@ -164,7 +164,7 @@ class Comparison:
         differs = [row for row in rows if row["albedo_significant"] or row["lobe"] == "significant"]
         if differs:
             lobes = [row["l1"] - row["l1_noise"] for row in differs if row["lobe"] == "significant"]
-            lobe = f", its lobe by up to {_percent(max(lobes))} (L1) beyond noise" if lobes else ""
+            lobe = f", its lobe by up to {percent(max(lobes))} (L1) beyond noise" if lobes else ""
             return (
                 f"noise does not explain the difference at {len(differs)} of {len(rows)} incidences and wavelengths; "
                 f"{_albedo_off(differs)}{lobe}."
@@ -172,11 +172,11 @@ class Comparison:
         if any(row["lobe"] == "unknown" for row in rows):
             return (
                 f"without errors nobody can say what noise explains; {_albedo_off(rows)}, its lobe by up to "
-                f"{_percent(max(row['l1'] for row in rows))} (L1)."
+                f"{percent(max(row['l1'] for row in rows))} (L1)."
             )
         albedo = max(2.0 * row["albedo_standard_error"] / max(row["albedo_measured"], 1e-300) for row in rows)
         lobe = max(row["l1_noise"] for row in rows)
-        level = f"{_percent(albedo)} of the albedo (two standard errors) and {_percent(lobe)} of the lobe (L1)"
+        level = f"{percent(albedo)} of the albedo (two standard errors) and {percent(lobe)} of the lobe (L1)"
         if any(row["lobe"] == "inconclusive" for row in rows):
             return f"specimens differ too much to tell; more realisations would. They limit it to {level}."
         within_mc = all(row["albedo_within_mc"] and row["lobe_within_mc"] for row in rows)
@@ -259,7 +259,7 @@ class Comparison:
     def _albedo_sentence(self, row: dict[str, Any]) -> str:
         measured, error, model = row["albedo_measured"], row["albedo_standard_error"], row["albedo_model"]
         if measured > 0.0:
-            comparison = f"{_percent(abs(row['albedo_bias']))} {'lower' if model < measured else 'higher'}"
+            comparison = f"{percent(abs(row['albedo_bias']))} {'lower' if model < measured else 'higher'}"
         else:
             comparison = "nothing was measured"
         albedo, name = "albedo" if self.order == "all" else f"order-{self.order} albedo", type(self.model).__name__
@@ -278,7 +278,7 @@ class Comparison:
 
     def _lobe_sentence(self, row: dict[str, Any]) -> str:
         if row["lobe"] == "unknown":
-            return f"the lobe differs by {_percent(row['l1'])} (L1)."
+            return f"the lobe differs by {percent(row['l1'])} (L1)."
         words = {
             "consistent": self._which_noise(row["lobe_within_mc"]),
             "inconclusive": (
@@ -288,9 +288,9 @@ class Comparison:
         }
         bins = "bins" if self.scope == "external" else "pooled bins"
         return (
-            f"the lobe differs by {_percent(row['l1'])} (L1), of which noise alone would give "
-            f"{_percent(row['l1_noise'])}; {_percent(row['share_outside'])} of {row['bins']} {bins} are outside their "
-            f"95 % interval, noise leaves {_percent(row['share_noise_expected'])}: {words[str(row['lobe'])]}."
+            f"the lobe differs by {percent(row['l1'])} (L1), of which noise alone would give "
+            f"{percent(row['l1_noise'])}; {percent(row['share_outside'])} of {row['bins']} {bins} are outside their "
+            f"95 % interval, noise leaves {percent(row['share_noise_expected'])}: {words[str(row['lobe'])]}."
         )
 
 
@@ -310,17 +310,17 @@ def _albedo_off(rows: list[dict[str, Any]]) -> str:
 class _Incidence(NamedTuple):
     """What was measured at one incidence, one order: bins flattened in theta_o, dphi order."""
 
-    brdf: Array
+    brdf: Floats
     """(bins, W)"""
-    error: Array
+    error: Floats
     """(bins, W)"""
-    error_mc: Array
+    error_mc: Floats
     """(bins, W)"""
-    albedo: Array
+    albedo: Floats
     """(W,)"""
-    albedo_error: Array
+    albedo_error: Floats
     """(W,)"""
-    albedo_error_mc: Array
+    albedo_error_mc: Floats
     """(W,)"""
     hits: NDArray[np.int64] | None
     """(bins,); None if nobody counted."""
@@ -348,16 +348,16 @@ class _Incidence(NamedTuple):
 class _Prediction(NamedTuple):
     """What a model says of one incidence."""
 
-    brdf: Array
+    brdf: Floats
     """(bins, W)"""
-    random: Array
+    random: Floats
     """(bins, W), standard errors of a model that is a random walk; 0 for all others."""
-    albedo: Array
+    albedo: Floats
     """(W,)"""
-    albedo_error: Array
+    albedo_error: Floats
     """(W,)"""
 
-    def among(self, bins: NDArray[np.bool_], w: slice, solid: Array) -> _Prediction:
+    def among(self, bins: NDArray[np.bool_], w: slice, solid: Floats) -> _Prediction:
         """Some of the bins, of projected solid angles `solid`, at some wavelengths, and their part of the albedo."""
         brdf, random = self.brdf[bins, w], self.random[bins, w]
         albedo = solid @ brdf
@@ -377,7 +377,7 @@ def order_of(measurement: Measurement, model: Model) -> str:
     return model.order
 
 
-def predicted(model: Model, wi: Vectors, detector: Detector, wavelengths: Array) -> Estimate:
+def predicted(model: Model, wi: Vectors, detector: Detector, wavelengths: Floats) -> Estimate:
     """Bin averages (bins, W) of `model` in 1/sr with their random standard errors, 0 for models that have none."""
     if isinstance(model, RandomWalk):
         value, error = model.estimate(wi, detector, wavelengths, orders=1)
@@ -436,7 +436,8 @@ def compare(measurement: Measurement, model: Model, floor: float = FLOOR) -> Com
 
 
 def _scope(measurement: Measurement) -> tuple[Literal["specimen", "ensemble", "external"], int, float]:
-    """What the errors of a measurement speak of, how many specimens it holds, and half the angle of the lamp's beam."""
+    """What the errors of a measurement speak of, how many specimens it holds, and half the angle of the source's
+    beam."""
     if "realisations" not in measurement.dataset:
         return "external", 0, 0.0
     realisations = int(measurement.dataset["realisations"].values[measurement.measured].min())
@@ -447,7 +448,7 @@ def _scope(measurement: Measurement) -> tuple[Literal["specimen", "ensemble", "e
 _BINNED = ("measured", "standard_error", "model", "significance")
 
 
-def _bin_by_bin(data: xr.Dataset, detector: Detector, lobes: dict[str, Array]) -> xr.Dataset:
+def _bin_by_bin(data: xr.Dataset, detector: Detector, lobes: dict[str, Floats]) -> xr.Dataset:
     """The lobes, labelled as the measurement is."""
     import xarray as xr
 
@@ -471,7 +472,7 @@ def _blank(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
 
 def _judge(
     data: xr.Dataset, wi: Vectors, detector: Detector, model: Model, level: float, floor: float
-) -> tuple[list[tuple[slice, dict[str, Any]]], tuple[Array, ...]]:
+) -> tuple[list[tuple[slice, dict[str, Any]]], tuple[Floats, ...]]:
     """One incidence: columns of the table for all or for single wavelengths, and the bins, each (bins, W)."""
     prediction = _predict(model, wi, detector, data["wavelength"].values)
     measured = _incidence(data)
@@ -494,8 +495,8 @@ def _judge(
 
 
 def _row(
-    measured: _Incidence, prediction: _Prediction, solid: Array, level: float, floor: float
-) -> tuple[dict[str, Any], Array]:
+    measured: _Incidence, prediction: _Prediction, solid: Floats, level: float, floor: float
+) -> tuple[dict[str, Any], Floats]:
     """Columns of the table, each (W,) or a scalar, and the significance of every bin (bins, W)."""
     pools = _Pools(measured, prediction, solid)
     row = {
@@ -507,7 +508,7 @@ def _row(
     return row, pools.spread(pools.significance())
 
 
-def _predict(model: Model, wi: Vectors, detector: Detector, wavelengths: Array) -> _Prediction:
+def _predict(model: Model, wi: Vectors, detector: Detector, wavelengths: Floats) -> _Prediction:
     """Bins and hemisphere."""
     brdf, random = predicted(model, wi, detector, wavelengths)
     if isinstance(model, RandomWalk):
@@ -560,7 +561,7 @@ def _albedo(there: _Incidence, prediction: _Prediction, level: float) -> dict[st
     }
 
 
-def _in_units(value: Array, unit: Array) -> Array:
+def _in_units(value: Floats, unit: Floats) -> Floats:
     """`value` in units of `unit`; 0 where both are 0, infinite where only the unit is, NaN where it is not known."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where((value == 0.0) & ~np.isnan(unit), 0.0, value / unit)
@@ -569,7 +570,7 @@ def _in_units(value: Array, unit: Array) -> Array:
 # --- Lobe -------------------------------------------------------------------------------------------------------------
 
 
-def _at_most(freedom: Array) -> Array:
+def _at_most(freedom: Floats) -> Floats:
     """Degrees of freedom with which nothing is left to know, in place of more or of none."""
     return np.clip(np.where(freedom > 0.0, freedom, np.inf), None, _SURE)
 
@@ -577,7 +578,7 @@ def _at_most(freedom: Array) -> Array:
 class _Pools:
     """Neighbouring bins joined until they have enough hits: energies (pools, W), and what is uncertain about them."""
 
-    def __init__(self, measured: _Incidence, prediction: _Prediction, solid: Array) -> None:
+    def __init__(self, measured: _Incidence, prediction: _Prediction, solid: Floats) -> None:
         power = solid[:, None]
         self.first = _pools(measured.hits, measured.brdf * power, (measured.error * power) ** 2)
         self.size = np.diff(np.append(self.first, solid.size))
@@ -598,7 +599,7 @@ class _Pools:
     def _sum(self, values: NDArray[Any]) -> NDArray[Any]:
         return np.add.reduceat(values, self.first)
 
-    def _freedom(self, variance: Array, fourth: Array, count: NDArray[np.int64], freedom: float) -> Array:
+    def _freedom(self, variance: Floats, fourth: Floats, count: NDArray[np.int64], freedom: float) -> Floats:
         """Degrees of freedom of the variance of a pool, its bins taken as independent (Welch and Satterthwaite).
 
         A count of n hits knows its own variance no better than 2 n degrees of freedom do.
@@ -607,16 +608,16 @@ class _Pools:
             welch = np.where(fourth > 0.0, freedom * variance**2 / fourth, freedom)
         return np.where(self.size[:, None] == 1, freedom, np.minimum(welch, np.maximum(2 * count, freedom)))
 
-    def significance(self) -> Array:
+    def significance(self) -> Floats:
         """(measured - model) in standard errors, (pools, W)."""
         return _in_units(self.measured - self.model, self.error)
 
-    def spread(self, values: Array) -> Array:
+    def spread(self, values: Floats) -> Floats:
         """What is known of pools (pools, W) for each of their bins (bins, W)."""
         return np.repeat(values, self.size, axis=0)
 
 
-def _pools(hits: NDArray[np.int64] | None, energy: Array, variance: Array) -> NDArray[np.intp]:
+def _pools(hits: NDArray[np.int64] | None, energy: Floats, variance: Floats) -> NDArray[np.intp]:
     """Where each pool of consecutive bins starts: a pool ends with the bin that gives it enough hits.
 
     Where nobody counted `hits` every bin is a pool.
@@ -638,7 +639,7 @@ def _pools(hits: NDArray[np.int64] | None, energy: Array, variance: Array) -> ND
     return np.asarray(starts if enough or len(starts) == 1 else starts[:-1], np.intp)
 
 
-def _lobe(pools: _Pools, albedo: Array, freedom: float) -> dict[str, Any]:
+def _lobe(pools: _Pools, albedo: Floats, freedom: float) -> dict[str, Any]:
     """L1 difference and share of pooled bins outside their interval, with what noise alone would give; each (W,)."""
     from scipy.special import stdtrit
 
@@ -662,7 +663,7 @@ def _lobe(pools: _Pools, albedo: Array, freedom: float) -> dict[str, Any]:
     }
 
 
-def _squares(pools: _Pools, solid: Array) -> dict[str, Array]:
+def _squares(pools: _Pools, solid: Floats) -> dict[str, Floats]:
     """L2 difference and mean square difference in standard errors, with what noise alone would give; each (W,)."""
     area = np.add.reduceat(solid, pools.first)[:, None]
     scale = np.sqrt((pools.model**2 / area).sum(axis=0))
@@ -677,14 +678,14 @@ def _squares(pools: _Pools, solid: Array) -> dict[str, Array]:
     }
 
 
-def _mean_square(difference: Array, error: Array, freedom: Array) -> Array:
+def _mean_square(difference: Floats, error: Floats, freedom: Floats) -> Floats:
     """Mean over pools of squares of Student's t, as a multiple of what they are without a difference: nu / (nu - 2)."""
     if freedom.min() <= 2.0:
         return np.full(difference.shape[1], np.nan)
     return np.asarray((_in_units(difference, error) ** 2 * (1.0 - 2.0 / freedom)).mean(axis=0))
 
 
-def _logarithms(pools: _Pools, solid: Array, floor: float) -> dict[str, Array]:
+def _logarithms(pools: _Pools, solid: Floats, floor: float) -> dict[str, Floats]:
     """Root mean square of ln(measured / model) where both are above the floor, and that of noise alone; each (W,)."""
     area = np.broadcast_to(np.add.reduceat(solid, pools.first)[:, None], pools.model.shape)
     least = floor * (pools.model / area).max(axis=0)
@@ -698,12 +699,12 @@ def _logarithms(pools: _Pools, solid: Array, floor: float) -> dict[str, Array]:
     return {"log_rms": rms, "log_rms_noise": noise}
 
 
-def _expected_l1(error: Array, freedom: Array) -> Array:
+def _expected_l1(error: Floats, freedom: Floats) -> Floats:
     """Mean of |noise| where the standard error, itself estimated, is `error`; 0.80 of it if it is sure."""
     return np.asarray(np.sqrt(2.0 / np.pi) * error / _bias(freedom))
 
 
-def _bias(freedom: Array | float) -> Array:
+def _bias(freedom: Floats | float) -> Floats:
     """Mean of an estimated standard deviation over the true one, c4 (Cureton 1968)."""
     from scipy.special import gammaln
 
@@ -711,7 +712,7 @@ def _bias(freedom: Array | float) -> Array:
     return np.asarray(np.sqrt(2.0 / n) * np.exp(gammaln((n + 1.0) / 2.0) - gammaln(n / 2.0)))
 
 
-def _l1_of_noise(error: Array, freedom: Array) -> tuple[Array, Array]:
+def _l1_of_noise(error: Floats, freedom: Floats) -> tuple[Floats, Floats]:
     """L1 expected from independent noise alone, and the most that it gives."""
     expected = _expected_l1(error, freedom)
     noise = expected.sum(axis=0)
@@ -719,7 +720,7 @@ def _l1_of_noise(error: Array, freedom: Array) -> tuple[Array, Array]:
     return noise, noise + 3.0 * np.sqrt((np.pi / 2.0 - 1.0) * (expected**2).sum(axis=0))
 
 
-def _l1_of_shifts(pools: _Pools, freedom: float) -> Array:
+def _l1_of_shifts(pools: _Pools, freedom: float) -> Floats:
     """How much more the specimens' differences could give if they were the same in all bins."""
     from scipy.special import stdtrit
 
@@ -727,9 +728,3 @@ def _l1_of_shifts(pools: _Pools, freedom: float) -> Array:
     mean = np.sqrt(2.0 / np.pi) / _bias(freedom)
     coherent = stdtrit(freedom, (1.0 + CONFIDENCE) / 2.0) / mean
     return np.asarray((coherent - 1.0) * _expected_l1(alone, pools.freedom).sum(axis=0))
-
-
-def _percent(share: float) -> str:
-    """Two significant digits, such as 0.012 %, 3.7 % or 85 %."""
-    value = 100.0 * float(share)
-    return f"{value:.2g} %" if value < 99.5 else f"{value:.0f} %"

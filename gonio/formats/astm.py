@@ -32,9 +32,10 @@ from typing import Any
 
 import numpy as np
 
-from gonio.brdf import BRDF, NOMINAL, Basis, Floats
+from gonio.brdf import BRDF, NOMINAL, Basis
 from gonio.detectors import HemisphereGrid
 from gonio.formats.scattered import Table, decimal, degrees, detector_of, frame, incidences, title_of
+from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
 
 ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")

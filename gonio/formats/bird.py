@@ -32,10 +32,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio import __version__
-from gonio.brdf import BRDF, NOMINAL, Floats
+from gonio.brdf import BRDF, NOMINAL
 from gonio.formats import json_arrays
 from gonio.formats.scattered import Table, decimal, degrees, detector_of, incidences, title_of
 from gonio.measurement import Measurement
+from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
 
 SCHEMA = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json"

@@ -26,10 +26,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.brdf import BRDF, Floats
+from gonio.brdf import BRDF
 from gonio.detectors import HemisphereGrid
 from gonio.measurement import tabulated
-from gonio.sphere import Vectors, angles, direction, rotate_z
+from gonio.sphere import angles, direction, rotate_z
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from gonio.brdf import Floats
 from gonio.formats.scattered import frame
+from microsurfaces.arrays import Floats
 
 LARGEST = 1 << 29
 """Bytes that a file may have."""

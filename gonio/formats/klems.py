@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.brdf import BRDF, Floats
+from gonio.brdf import BRDF
 from gonio.detectors import Klems, ringed
-from gonio.sphere import Vectors, direction
+from gonio.sphere import direction
+from microsurfaces.arrays import Floats, Vectors
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,10 @@ from typing import Self
 
 import numpy as np
 
-from gonio.brdf import BRDF, Floats
+from gonio.brdf import BRDF
 from gonio.sphere import direction
+from gonio.wording import percent
+from microsurfaces.arrays import Floats
 
 FLOOR = 0.01
 """Bins below this share of the peak of their incidence and channel count for the albedo only."""
@@ -71,12 +73,12 @@ class Loss:
         """All of it in words."""
         place = "theta_i = {:g}, phi_i = {:g}, theta_o = {:g}, dphi = {:g}".format(*self.where)
         text = (
-            f"Read back, albedos change by at most {_percent(self.albedo)}, and bins above {FLOOR:.0%} of the peak by "
-            f"{_percent(self.log_rms)} (rms)"
-            + (f", at most {_percent(self.largest)} ({place})." if self.largest else ".")
+            f"Read back, albedos change by at most {percent(self.albedo)}, and bins above {FLOOR:.0%} of the peak by "
+            f"{percent(self.log_rms)} (rms)"
+            + (f", at most {percent(self.largest)} ({place})." if self.largest else ".")
         )
         if np.isfinite(self.noise):
-            text += f" Their own standard errors are {_percent(self.noise)} (rms)."
+            text += f" Their own standard errors are {percent(self.noise)} (rms)."
         if self.unknown:
             text += f" Of {self.unknown / self.bins:.2%} of these bins the file knows nothing."
         return text
@@ -91,8 +93,3 @@ def _rms(values: Floats, weights: Floats) -> float:
 
 def _positive(values: Floats) -> Floats:
     return np.where(values > 0, values, 1.0)
-
-
-def _percent(share: float) -> str:
-    """Two digits of a percentage, whatever its size."""
-    return f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"

@@ -31,10 +31,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.brdf import BRDF, Floats
+from gonio.brdf import BRDF
 from gonio.colour import PRIMARIES
 from gonio.detectors import HemisphereGrid
-from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z
+from gonio.sphere import angles, direction, half_vector, reflect, rotate_z
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.atomic_write import atomic_write
 
 Sample = Literal["centre", "edge"]

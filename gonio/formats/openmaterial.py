@@ -32,11 +32,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio.brdf import BRDF, Floats
+from gonio.brdf import BRDF
 from gonio.detectors import HemisphereGrid
 from gonio.formats import json_arrays
 from gonio.formats.scattered import Table, decimal, degrees, detector_of, title_of
 from gonio.measurement import Measurement
+from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:

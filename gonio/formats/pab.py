@@ -28,11 +28,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gonio.brdf import BRDF, NOMINAL, Basis, Floats
+from gonio.brdf import BRDF, NOMINAL, Basis
 from gonio.formats.radiance import WHITE
 from gonio.formats.scattered import Table, decimal, detector_of, incidences, title_of
 from gonio.formats.text import numbers
 from gonio.measurement import Measurement
+from microsurfaces.arrays import Floats
 
 LARGEST = 1 << 30
 """Bytes that the files of a set may have together."""

@@ -31,12 +31,12 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from gonio.brdf import BRDF, NOMINAL, Basis, Floats
+from gonio.brdf import BRDF, NOMINAL, Basis
 from gonio.colour import xyz_of_rgb
 from gonio.detectors import HemisphereGrid
 from gonio.formats import klems, tensor_tree
 from gonio.formats.text import numbers
-from gonio.sphere import Vectors
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.atomic_write import atomic_write
 
 Variant = Literal["klems-full", "klems-half", "klems-quarter", "tensor3", "tensor4"]

@@ -20,11 +20,12 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.brdf import BRDF, NOMINAL, Basis, Floats
+from gonio.brdf import BRDF, NOMINAL, Basis
 from gonio.detectors import HemisphereGrid
 from gonio.interpolation import bracket, bracket_around
 from gonio.measurement import Measurement, tabulated
-from gonio.sphere import Vectors, angles, direction, half_vector, reflect, rotate_z
+from gonio.sphere import angles, direction, half_vector, reflect, rotate_z
+from microsurfaces.arrays import Floats, Vectors
 
 Index = NDArray[np.intp]
 

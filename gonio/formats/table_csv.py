@@ -32,8 +32,9 @@ from typing import Any
 
 import numpy as np
 
-from gonio.brdf import BRDF, Floats
+from gonio.brdf import BRDF
 from gonio.formats.scattered import Table, decimal, detector_of, frame, incidences, title_of
+from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "dphi", "wavelength", "brdf", "brdf_standard_error")

@@ -20,10 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.brdf import BRDF, Floats
+from gonio.brdf import BRDF
 from gonio.formats.klems import mean_of_known
 from gonio.formats.text import numbers
-from gonio.sphere import Vectors, angles, rotate_z
+from gonio.sphere import angles, rotate_z
+from microsurfaces.arrays import Floats, Vectors
 
 RESOLUTION = {3: 6, 4: 5}
 """Of the grids that are written, by rank: 2 to this power cells in every dimension."""

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from gonio.brdf import Floats
+from microsurfaces.arrays import Floats
 
 LARGEST = 1e15
 """Of the numbers that are read: more is damage, and its sums overflow."""

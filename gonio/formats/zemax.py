@@ -37,11 +37,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.brdf import BRDF, NOMINAL, Basis, Floats
+from gonio.brdf import BRDF, NOMINAL, Basis
 from gonio.formats.scattered import decimal, grid_of_steps, title_of
 from gonio.formats.text import numbers
 from gonio.interpolation import bracket, bracket_around
-from gonio.sphere import Vectors, angles, direction
+from gonio.sphere import angles, direction
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.atomic_write import atomic_write
 
 RADIAL = np.concatenate(

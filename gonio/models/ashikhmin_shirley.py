@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import model_validator
 
 from gonio.detectors import Detector
@@ -15,10 +15,9 @@ from gonio.models.averages import bin_average
 from gonio.models.distributions import Beckmann
 from gonio.models.facets import above, lobe_detail
 from gonio.optics import Material
-from gonio.sphere import Vectors, rotate_z
+from gonio.sphere import rotate_z
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.recipe import Fraction, NonNegative, recipe
-
-Array = NDArray[np.float64]
 
 
 @recipe
@@ -82,7 +81,7 @@ class AshikhminShirley:
         """Always a ValueError: no specimen determines an empirical model."""
         raise ValueError("AshikhminShirley is empirical: its parameters do not follow from the surface; fit it.")
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """BRDF (..., W) in 1/sr, no cosine, of `wi` and `wo` (..., 3); 0 where a direction is not above the horizon."""
         lit = above(wi, wo)
         # Straight above stands in for directions that do not count, so that nothing divides by 0.
@@ -90,7 +89,7 @@ class AshikhminShirley:
         value = self._lobe(wi, wo) + self._diffuse(wi[..., 2]) * self._diffuse(wo[..., 2])
         return np.repeat(np.where(lit, value, 0.0)[..., None], np.size(wavelengths), axis=-1)
 
-    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """Bin averages (bins, W) in 1/sr for light from `wi` (3,), to about 1e-5 of a bin or of the mean."""
         n_u, n_v = self._exponents()
         as_wide = Beckmann(
@@ -103,7 +102,7 @@ class AshikhminShirley:
         n_u, n_v = (self.n if value is None else value for value in (self.n_u, self.n_v))
         return n_u or 0.0, n_v or 0.0
 
-    def _lobe(self, wi: Vectors, wo: Vectors) -> Array:
+    def _lobe(self, wi: Vectors, wo: Vectors) -> Floats:
         """The specular part (...)."""
         n_u, n_v = self._exponents()
         h = rotate_z(wi + wo, -self.rotation)
@@ -118,7 +117,7 @@ class AshikhminShirley:
         height = math.sqrt((n_u + 1.0) * (n_v + 1.0)) / (8.0 * np.pi)
         return np.asarray(height * power * fresnel / (cosine * np.maximum(wi[..., 2], wo[..., 2])))
 
-    def _diffuse(self, cosine: Array) -> Array:
+    def _diffuse(self, cosine: Floats) -> Floats:
         """The root of the diffuse part (...) at one direction's cosine; that of the other is the second factor."""
         scale = 28.0 * self.reflectance * (1.0 - self.specular) / (23.0 * np.pi)
         return np.asarray(math.sqrt(scale) * (1.0 - (1.0 - cosine / 2.0) ** 5))

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.detectors import Detector, HemisphereGrid
-from gonio.sphere import Vectors
-
-Array = NDArray[np.float64]
+from microsurfaces.arrays import Floats, Vectors
 
 TOLERANCE = 1e-5
 """Relative accuracy of an albedo: what a cell may still change by, as a share of itself or of the detector's mean."""
@@ -33,14 +31,14 @@ _BATCH = 1 << 17
 class Estimate(NamedTuple):
     """What a random walk found, and how sure it is: arrays of the same shape, the first axis the orders."""
 
-    value: Array
-    standard_error: Array
+    value: Floats
+    standard_error: Floats
 
 
 class Function(Protocol):
     """A BRDF with a value for every pair of directions."""
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = ...) -> Array:
+    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = ...) -> Floats:
         """BRDF in 1/sr without the cosine, shape (..., W)."""
         ...
 
@@ -58,7 +56,7 @@ class RandomWalk(Protocol):
         ...
 
 
-Detail = Callable[[Vectors, Vectors, Array], Array]
+Detail = Callable[[Vectors, Vectors, Floats], Floats]
 """`detail(wi, wo, radius)`: the smallest angle (bins,), radians, over which the BRDF changes within `radius` (bins,) of
 the directions `wo` (bins, q, 3)."""
 
@@ -103,13 +101,13 @@ def bin_average(
 def _settle(
     model: Function,
     detail: Detail,
-    wi: Array,
+    wi: Floats,
     detector: Detector,
     bins: NDArray[np.intp],
-    share: Array,
-    wavelengths: Array,
-    scale: Array,
-) -> tuple[Array, NDArray[np.bool_]]:
+    share: Floats,
+    wavelengths: Floats,
+    scale: Floats,
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Averages (len(bins), W) of cells, and which of them settled (len(bins),).
 
     A cell has settled when it changed twice in a row by less than `TOLERANCE` times the largest of its own value, of
@@ -129,8 +127,8 @@ def _settle(
 
 
 def _gauss_legendre(
-    model: Function, wi: Array, detector: Detector, wavelengths: Array, nodes: int, bins: NDArray[np.intp]
-) -> Array:
+    model: Function, wi: Floats, detector: Detector, wavelengths: Floats, nodes: int, bins: NDArray[np.intp]
+) -> Floats:
     """Averages (len(bins), W) with a fixed number of nodes an axis, in batches."""
     average = np.zeros((bins.size, wavelengths.size))
     # Apertures use twice as many nodes around their axis as along it.
@@ -144,13 +142,13 @@ def _gauss_legendre(
     return average
 
 
-def _wanted_nodes(detail: Detail, wi: Array, detector: Detector, bins: NDArray[np.intp]) -> Array:
+def _wanted_nodes(detail: Detail, wi: Floats, detector: Detector, bins: NDArray[np.intp]) -> Floats:
     """Nodes an axis (len(bins),) at which a cell's nodes stand as close as the BRDF's finest detail in it."""
     wo, _ = detector.quadrature(wi, 2, bins)
     centre = wo.mean(axis=1, keepdims=True)
     # Two Gauss-Legendre nodes stand at 1 / sqrt(3) of the way to the edge.
     radius = np.sqrt(3.0) * np.linalg.norm(wo - centre, axis=-1).max(axis=1)
-    wanted: Array = 2.0 * radius / detail(wi, wo, radius)
+    wanted: Floats = 2.0 * radius / detail(wi, wo, radius)
     return wanted
 
 
@@ -173,7 +171,7 @@ def _divide(
     return finer, (ring * sectors + sector)[there], owners[there]
 
 
-def _areas(grid: HemisphereGrid, bins: NDArray[np.intp]) -> Array:
+def _areas(grid: HemisphereGrid, bins: NDArray[np.intp]) -> Floats:
     """Projected solid angles of some bins, sr; a fine grid has too many to compute them all."""
     sectors = grid.shape[1]
     sin2 = np.sin(np.radians(grid.theta_edges)) ** 2

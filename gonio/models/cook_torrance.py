@@ -6,8 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, Self
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from gonio.detectors import Detector
@@ -17,9 +16,8 @@ from gonio.models.facets import lobe_detail, specular
 from gonio.models.lambert import Lambert
 from gonio.models.masking import VCavity
 from gonio.optics import Lambertian, Material, Specular
+from microsurfaces.arrays import Floats
 from microsurfaces.recipe import Fraction, Positive, recipe
-
-Array = NDArray[np.float64]
 
 NORMALISATIONS = {
     "microsurface": 1.0,
@@ -69,7 +67,7 @@ class CookTorrance:
     incidence. Only for geometric optics: facets many wavelengths wide.
 
     A feel for the numbers: straight above, L = V = N, with F = 1 it is 1 / (4 pi m^2): 0.884 / sr at m = 0.3. The lobe
-    of a mirror direction is about 2 m radians wide. With F = 1 the albedo at 0, 45, 75 degrees is 0.996, 0.957, 0.927
+    of a specular direction is about 2 m radians wide. With F = 1 the albedo at 0, 45, 75 degrees is 0.996, 0.957, 0.927
     for m = 0.3 and 0.798, 0.826, 0.933 for m = 0.6; the rest would be multiple scattering.
 
     Source: R. L. Cook, K. E. Torrance, A Reflectance Model for Computer Graphics, ACM Transactions on Graphics 1(1),
@@ -145,7 +143,7 @@ class CookTorrance:
             return Mixture(components=tuple((weight, Beckmann(alpha=m)) for m, weight in self.scales))
         return Beckmann(alpha=self.m, alpha_x=self.m_x, alpha_y=self.m_y, rotation=self.rotation)
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """BRDF (..., W) in 1/sr, no cosine, of `wi` and `wo` (..., 3); 0 where a direction is not above the horizon."""
         value = specular(self.distribution, VCavity(), self.material, wi, wo, wavelengths)
         value *= self.k_s * NORMALISATIONS[self.normalisation]
@@ -153,6 +151,6 @@ class CookTorrance:
             value += self.k_d * Lambert(self.reflectance).eval(wi, wo, wavelengths)
         return value
 
-    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """Bin averages (bins, W) in 1/sr for light from `wi` (3,), to about 1e-5 of a bin or of the mean."""
         return bin_average(self, lobe_detail(self.distribution), wi, detector, wavelengths)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gonio.models.cylinders import shared
 from gonio.models.distributions import BECKMANN
 from gonio.randomness import kernel
-
-Array = NDArray[np.float64]
+from microsurfaces.arrays import Floats
 
 COLUMNS = (0, 1, 2)
 """Of a distribution's lobes: kind, weight, alpha."""
@@ -22,14 +20,14 @@ _CLIP = 7.0
 """Beckmann's lobe is integrated to slopes of so many mu: erfc(7) is 4e-23."""
 
 
-def lambertian(profile: tuple[bool, float, float, float], wi: Array, wo: Array) -> Array:
+def lambertian(profile: tuple[bool, float, float, float], wi: Floats, wo: Floats) -> Floats:
     """f (n,) in 1/sr of ideal diffusers of reflectance 1, for rows of directions."""
     value = np.empty(len(wi))
     _lambertian(*profile, wi, wo, value)
     return value
 
 
-def rough(profile: tuple[bool, float, float, float], lobes: Array, masking: int, wi: Array, wo: Array) -> Array:
+def rough(profile: tuple[bool, float, float, float], lobes: Floats, masking: int, wi: Floats, wo: Floats) -> Floats:
     """f / F (n,) in 1/sr of rough mirrors of isotropic `lobes` (m, 3) and a masking of this code."""
     value = np.empty(len(wi))
     _rough(*profile, lobes, masking, wi, wo, _NODES, _WEIGHTS, value)
@@ -98,8 +96,8 @@ def _facet(lobes, masking, nh, cosine, ni, no):
         return density
     if masking == 1:
         return density * min(1.0, 2.0 * nh * min(ni, no) / cosine)
-    lamp, eye = _lambda(lobes, ni), _lambda(lobes, no)
-    return density / ((1.0 + lamp) * (1.0 + eye)) if masking == 2 else density / (1.0 + lamp + eye)
+    lambda_i, lambda_o = _lambda(lobes, ni), _lambda(lobes, no)
+    return density / ((1.0 + lambda_i) * (1.0 + lambda_o)) if masking == 2 else density / (1.0 + lambda_i + lambda_o)
 
 
 @kernel

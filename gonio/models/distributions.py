@@ -10,14 +10,13 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from gonio.randomness import kernel
 from microsurfaces import Gaussian
+from microsurfaces.arrays import Floats
 from microsurfaces.recipe import Fraction, Positive, recipe
-
-Array = NDArray[np.float64]
 
 BECKMANN, GGX_ = 0.0, 1.0
 """First column of a lobe: its shape; then weight, alpha_x, alpha_y, cosine and sine of the rotation."""
@@ -81,7 +80,7 @@ def _lambdas(lobes, w, result):
         result[i] = smith_lambda(lobes, w[i, 0], w[i, 1], w[i, 2])
 
 
-def _each(function: Any, lobes: Array, w: ArrayLike) -> Array:
+def _each(function: Any, lobes: Floats, w: ArrayLike) -> Floats:
     """A kernel's values (...) at vectors (..., 3)."""
     flat = np.ascontiguousarray(np.asarray(w, np.float64).reshape(-1, 3))
     result = np.empty(len(flat))
@@ -89,7 +88,7 @@ def _each(function: Any, lobes: Array, w: ArrayLike) -> Array:
     return result.reshape(np.shape(w)[:-1])
 
 
-def _lobe(kind: float, alpha_x: float, alpha_y: float, rotation: float) -> Array:
+def _lobe(kind: float, alpha_x: float, alpha_y: float, rotation: float) -> Floats:
     turn = math.radians(rotation)
     return np.array([[kind, 1.0, alpha_x, alpha_y, math.cos(turn), math.sin(turn)]])
 
@@ -168,15 +167,15 @@ class Beckmann:
         """
         return cls(**_measured_axes(statistics, surface))
 
-    def lobes(self) -> Array:
+    def lobes(self) -> Floats:
         """One lobe, (1, 6)."""
         return _lobe(BECKMANN, *_axes(self), self.rotation)
 
-    def density(self, wm: ArrayLike) -> Array:
+    def density(self, wm: ArrayLike) -> Floats:
         """D (...) in 1/sr at facet normals `wm` (..., 3), unit vectors; 0 for facets that face down."""
         return _each(_densities, self.lobes(), wm)
 
-    def smith_lambda(self, w: ArrayLike) -> Array:
+    def smith_lambda(self, w: ArrayLike) -> Floats:
         """Smith's Lambda (...) for directions `w` (..., 3) above the horizon: hidden area per visible area of facets.
 
         With a = cos / (alpha sin): (exp(-a^2) / (a sqrt(pi)) - erfc(a)) / 2.
@@ -223,15 +222,15 @@ class GGX:
             "measurement, or give distribution.alpha."
         )
 
-    def lobes(self) -> Array:
+    def lobes(self) -> Floats:
         """One lobe, (1, 6)."""
         return _lobe(GGX_, *_axes(self), self.rotation)
 
-    def density(self, wm: ArrayLike) -> Array:
+    def density(self, wm: ArrayLike) -> Floats:
         """D (...) in 1/sr at facet normals `wm` (..., 3), unit vectors; 0 for facets that face down."""
         return _each(_densities, self.lobes(), wm)
 
-    def smith_lambda(self, w: ArrayLike) -> Array:
+    def smith_lambda(self, w: ArrayLike) -> Floats:
         """Smith's Lambda (...) for directions `w` (..., 3) above the horizon: (sqrt(1 + alpha^2 tan^2) - 1) / 2."""
         return _each(_lambdas, self.lobes(), w)
 
@@ -264,16 +263,16 @@ class Mixture:
         """The one Beckmann distribution of a specimen: statistics do not tell scales apart."""
         return cls(components=((1.0, Beckmann.of(statistics, surface)),))
 
-    def lobes(self) -> Array:
+    def lobes(self) -> Floats:
         """The lobes of all components, (n, 6)."""
         parts = [distribution.lobes() * [1, weight, 1, 1, 1, 1] for weight, distribution in self.components]
         return np.concatenate(parts)
 
-    def density(self, wm: ArrayLike) -> Array:
+    def density(self, wm: ArrayLike) -> Floats:
         """D (...) in 1/sr at facet normals `wm` (..., 3), unit vectors; 0 for facets that face down."""
         return _each(_densities, self.lobes(), wm)
 
-    def smith_lambda(self, w: ArrayLike) -> Array:
+    def smith_lambda(self, w: ArrayLike) -> Floats:
         """Smith's Lambda (...) for directions `w` (..., 3) above the horizon."""
         return _each(_lambdas, self.lobes(), w)
 

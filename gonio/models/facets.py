@@ -12,9 +12,7 @@ from gonio.models.distributions import BECKMANN, REACH, Distribution, density, s
 from gonio.models.masking import CODES, Masking
 from gonio.optics import Mirror, Specular, fresnel
 from gonio.randomness import kernel
-from gonio.sphere import Vectors
-
-Array = NDArray[np.float64]
+from microsurfaces.arrays import Floats, Vectors
 
 
 def above(wi: ArrayLike, wo: ArrayLike) -> NDArray[np.bool_]:
@@ -29,7 +27,7 @@ def specular(
     wi: ArrayLike,
     wo: ArrayLike,
     wavelengths: ArrayLike,
-) -> Array:
+) -> Floats:
     """F D G / (4 NL NV), the BRDF (..., W) in 1/sr of one reflection by facets; 0 where a direction is not above.
 
     Facets of normals within dwm turn (wi . wm) D dwm of the light per area of the plane into the solid angle
@@ -37,15 +35,15 @@ def specular(
     """
     wi, wo = np.asarray(wi, np.float64), np.asarray(wo, np.float64)
     shape = np.broadcast_shapes(wi.shape, wo.shape)[:-1]
-    lamp, eye = (_rows(w, shape) for w in (wi, wo))
+    source, eye = (_rows(w, shape) for w in (wi, wo))
     value = np.empty((math.prod(shape), np.size(wavelengths)))
     index = np.zeros(0, complex) if isinstance(material, Mirror) else material.refractive_index(wavelengths)
     code = CODES[type(masking).__name__]
-    _specular(distribution.lobes(), code, index.real.copy(), index.imag.copy(), lamp, eye, value)
+    _specular(distribution.lobes(), code, index.real.copy(), index.imag.copy(), source, eye, value)
     return value.reshape(*shape, -1)
 
 
-def _rows(w: Vectors, shape: tuple[int, ...]) -> Array:
+def _rows(w: Vectors, shape: tuple[int, ...]) -> Floats:
     """Directions as rows for a kernel: one if it serves for all, else one for each of `shape`."""
     if w.ndim == 1:
         return np.ascontiguousarray(w[None])
@@ -59,17 +57,17 @@ def masked(lobes, code, wix, wiy, wiz, wox, woy, woz, hz, cosine):
         return min(1.0, 2.0 * hz * min(wiz, woz) / cosine)
     if code == 0:
         return 1.0
-    lamp, eye = smith_lambda(lobes, wix, wiy, wiz), smith_lambda(lobes, wox, woy, woz)
-    return 1.0 / ((1.0 + lamp) * (1.0 + eye)) if code == 2 else 1.0 / (1.0 + lamp + eye)
+    lambda_i, lambda_o = smith_lambda(lobes, wix, wiy, wiz), smith_lambda(lobes, wox, woy, woz)
+    return 1.0 / ((1.0 + lambda_i) * (1.0 + lambda_o)) if code == 2 else 1.0 / (1.0 + lambda_i + lambda_o)
 
 
 @kernel
 def _specular(lobes, code, eta, k, wi, wo, value):
     """Fill `value` (n, W) for rows of directions, of which a single one serves for all."""
-    lamps, eyes = wi.shape[0] > 1, wo.shape[0] > 1
+    many_wi, many_wo = wi.shape[0] > 1, wo.shape[0] > 1
     for i in range(value.shape[0]):
-        wix, wiy, wiz = wi[i * lamps, 0], wi[i * lamps, 1], wi[i * lamps, 2]
-        wox, woy, woz = wo[i * eyes, 0], wo[i * eyes, 1], wo[i * eyes, 2]
+        wix, wiy, wiz = wi[i * many_wi, 0], wi[i * many_wi, 1], wi[i * many_wi, 2]
+        wox, woy, woz = wo[i * many_wo, 0], wo[i * many_wo, 1], wo[i * many_wo, 2]
         geometry, cosine = 0.0, 1.0
         if wiz > 0.0 and woz > 0.0:
             x, y, z = wix + wox, wiy + woy, wiz + woz
@@ -93,7 +91,7 @@ def lobe_detail(distribution: Distribution) -> Detail:
     """
     lobes = distribution.lobes()
 
-    def detail(wi: Vectors, wo: Vectors, radius: Array) -> Array:
+    def detail(wi: Vectors, wo: Vectors, radius: Floats) -> Floats:
         wh = wi + wo
         length = np.linalg.norm(wh, axis=-1)
         tilt = np.arctan2(np.hypot(wh[..., 0], wh[..., 1]), wh[..., 2])
@@ -107,7 +105,7 @@ def lobe_detail(distribution: Distribution) -> Detail:
                 slope = np.tan(np.minimum(nearest, 1.5))
                 width = np.minimum(narrow * np.hypot(1.0, slope / wide), 1.0)
             finest = np.minimum(finest, width * length)
-        smallest: Array = finest.min(axis=1)
+        smallest: Floats = finest.min(axis=1)
         return smallest
 
     return detail

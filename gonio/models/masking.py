@@ -1,4 +1,4 @@
-"""Masking and shadowing: the share of the facets of one normal that both the lamp and the detector see.
+"""Masking and shadowing: the share of the facets of one normal that both the source and the detector see.
 
 A masking is asked for `g2(distribution, wi, wo, wh)`: shapes (..., 3), all unit vectors, `wi` and `wo` above the
 horizon.
@@ -9,19 +9,16 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from gonio.models.distributions import Distribution
-from gonio.sphere import Vectors
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.recipe import recipe
-
-Array = NDArray[np.float64]
 
 
 @recipe
 class SmithCorrelated:
-    """Smith's masking with heights in common: a facet that the lamp sees is high, and so the detector sees it sooner.
+    """Smith's masking with heights in common: a facet that the source sees is high, and so the detector sees it sooner.
 
     G2 = 1 / (1 + Lambda(wi) + Lambda(wo)). It treats the heights and slopes of neighbouring facets as independent,
     which makes each of the two factors exact on average over the normals and G2 good to a few per cent on Gaussian
@@ -32,7 +29,7 @@ class SmithCorrelated:
     Graphics Techniques 3(2), 2014, eq. 99, http://jcgt.org/published/0003/02/03/.
     """
 
-    def g2(self, distribution: Distribution, wi: Vectors, wo: Vectors, wh: Vectors) -> Array:
+    def g2(self, distribution: Distribution, wi: Vectors, wo: Vectors, wh: Vectors) -> Floats:
         """Visible and lit share (...) of the facets whose normal is `wh`: here the same for every normal."""
         share = 1.0 / (1.0 + distribution.smith_lambda(wi) + distribution.smith_lambda(wo))
         return np.broadcast_to(share, np.broadcast_shapes(share.shape, wh.shape[:-1]))
@@ -40,7 +37,7 @@ class SmithCorrelated:
 
 @recipe
 class SmithSeparable:
-    """Smith's masking with lamp and detector taken as independent: G2 = G1(wi) G1(wo), G1 = 1 / (1 + Lambda).
+    """Smith's masking with source and detector taken as independent: G2 = G1(wi) G1(wo), G1 = 1 / (1 + Lambda).
 
     The form of most renderers. Always below the height-correlated one, by up to a quarter where both directions graze.
 
@@ -48,7 +45,7 @@ class SmithSeparable:
     15(5), 1967, doi:10.1109/TAP.1967.1138991; B. Walter et al., EGSR 2007, doi:10.2312/EGWR/EGSR07/195-206, eq. 23.
     """
 
-    def g2(self, distribution: Distribution, wi: Vectors, wo: Vectors, wh: Vectors) -> Array:
+    def g2(self, distribution: Distribution, wi: Vectors, wo: Vectors, wh: Vectors) -> Floats:
         """Visible and lit share (...) of the facets whose normal is `wh`: here the same for every normal."""
         share = 1.0 / ((1.0 + distribution.smith_lambda(wi)) * (1.0 + distribution.smith_lambda(wo)))
         return np.broadcast_to(share, np.broadcast_shapes(share.shape, wh.shape[:-1]))
@@ -65,11 +62,11 @@ class VCavity:
     doi:10.1364/JOSA.57.001105; in this form R. L. Cook, K. E. Torrance 1982, doi:10.1145/357290.357293.
     """
 
-    def g2(self, distribution: Distribution, wi: Vectors, wo: Vectors, wh: Vectors) -> Array:
+    def g2(self, distribution: Distribution, wi: Vectors, wo: Vectors, wh: Vectors) -> Floats:
         """Visible and lit share (...) of the facets whose normal is `wh`, whatever the distribution."""
         lower = np.minimum(wi[..., 2], wo[..., 2])
         # VH = LH, and the mean of both has no cancellation at grazing.
-        share: Array = np.minimum(1.0, 4.0 * wh[..., 2] * lower / ((wi + wo) * wh).sum(axis=-1))
+        share: Floats = np.minimum(1.0, 4.0 * wh[..., 2] * lower / ((wi + wo) * wh).sum(axis=-1))
         return share
 
 
@@ -77,7 +74,7 @@ class VCavity:
 class Unmasked:
     """No masking at all, G = 1: to see what masking does. It creates energy, without bound at grazing angles."""
 
-    def g2(self, distribution: Distribution, wi: Vectors, wo: Vectors, wh: Vectors) -> Array:
+    def g2(self, distribution: Distribution, wi: Vectors, wo: Vectors, wh: Vectors) -> Floats:
         """Ones (...)."""
         return np.ones(np.broadcast_shapes(wi.shape, wo.shape, wh.shape)[:-1])
 

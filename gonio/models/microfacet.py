@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gonio.detectors import Detector
 from gonio.models.averages import bin_average
@@ -14,9 +13,8 @@ from gonio.models.distributions import Beckmann, Distribution
 from gonio.models.facets import lobe_detail, specular
 from gonio.models.masking import Masking, SmithCorrelated
 from gonio.optics import Lambertian, Material, Specular
+from microsurfaces.arrays import Floats
 from microsurfaces.recipe import recipe
-
-Array = NDArray[np.float64]
 
 
 @recipe
@@ -34,7 +32,7 @@ class Microfacet:
     With Beckmann's distribution and Smith's height-correlated masking it is the reference for Gaussian random height
     fields: with alpha measured from the facets, its albedo is within 2 % of a traced surface (0 to 60 degrees), most 5
     x 15 degree bins within 2 to 3 %. What remains is real: correlated heights hide less, a traced surface is brighter
-    towards the lamp (by up to 70 % at 85 degrees), and darker in the forward grazing lobe by 5 to 20 %. Only for
+    towards the source (by up to 70 % at 85 degrees), and darker in the forward grazing lobe by 5 to 20 %. Only for
     geometric optics: facets many wavelengths wide.
 
     A feel for the numbers: straight above, L = V = N, with F = 1 it is 1 / (4 pi alpha^2): 0.884 / sr at alpha = 0.3.
@@ -66,10 +64,10 @@ class Microfacet:
             raise ValueError(f"Microfacet describes specimens of mirror facets, and this one is {material!r}.")
         return cls(distribution=Beckmann.of(statistics, surface), masking=SmithCorrelated(), material=material)
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """BRDF (..., W) in 1/sr, no cosine, of `wi` and `wo` (..., 3); 0 where a direction is not above the horizon."""
         return specular(self.distribution, self.masking, self.material, wi, wo, wavelengths)
 
-    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """Bin averages (bins, W) in 1/sr for light from `wi` (3,), to about 1e-5 of a bin or of the mean."""
         return bin_average(self, lobe_detail(self.distribution), wi, detector, wavelengths)

@@ -7,17 +7,15 @@ from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from gonio.detectors import Detector
 from gonio.models.averages import bin_average
 from gonio.models.facets import above
 from gonio.optics import Lambertian, Material
-from gonio.sphere import Vectors
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.recipe import Fraction, recipe
-
-Array = NDArray[np.float64]
 
 
 @recipe
@@ -25,9 +23,9 @@ class OrenNayar:
     """Oren and Nayar's model of rough diffusers (1994): plaster, clay, sand, the moon.
 
     Physics. The surface is made of V-grooves in every direction whose facets are ideal diffusers. Facets that face the
-    lamp are bright, and towards the lamp one sees more of them and fewer of those they shade: the surface is brighter
-    there than Lambert's law says, and darker on the far side. Each groove's upper edges lie in one plane, its facets
-    hide each other as in Torrance and Sparrow's model, and light goes from facet to facet in the same groove.
+    source are bright, and towards the source one sees more of them and fewer of those they shade: the surface is
+    brighter there than Lambert's law says, and darker on the far side. Each groove's upper edges lie in one plane, its
+    facets hide each other as in Torrance and Sparrow's model, and light goes from facet to facet in the same groove.
 
     Equation, with a the larger and b the smaller of the angles theta_i and theta_o, c the cosine of the difference of
     their azimuths, s = sigma^2 in radians and r the reflectance:
@@ -95,7 +93,7 @@ class OrenNayar:
             )
         return cls(sigma=math.degrees(math.atan(alpha / math.sqrt(2.0))), reflectance=material.reflectance)
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """BRDF (..., W) in 1/sr, no cosine, of `wi` and `wo` (..., 3); 0 where a direction is not above the horizon."""
         wi, wo = np.asarray(wi, np.float64), np.asarray(wo, np.float64)
         theta_i, theta_o = _theta(wi), _theta(wo)
@@ -103,11 +101,11 @@ class OrenNayar:
         value = self._values(a, b, _cosine_of_azimuths(wi, wo))
         return np.repeat(np.where(above(wi, wo), value, 0.0)[..., None], np.size(wavelengths), axis=-1)
 
-    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """Bin averages (bins, W) in 1/sr for light from `wi` (3,), to about 1e-5 of a bin or of the mean."""
         return bin_average(self, _nothing_but_kinks, wi, detector, wavelengths)
 
-    def _values(self, a: Array, b: Array, c: Array) -> Array:
+    def _values(self, a: Floats, b: Floats, c: Floats) -> Floats:
         """BRDF (...) of the larger and the smaller polar angle, radians, and the cosine between the azimuths."""
         s, r = math.radians(self.sigma) ** 2, self.reflectance
         c1, steep = 1.0 - 0.5 * s / (s + 0.33), s / (s + 0.09)
@@ -122,12 +120,12 @@ class OrenNayar:
         return np.asarray(value)
 
 
-def _theta(w: Vectors) -> Array:
+def _theta(w: Vectors) -> Floats:
     """Polar angles (...) in radians, accurate near the normal."""
     return np.asarray(np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2]))
 
 
-def _cosine_of_azimuths(wi: Vectors, wo: Vectors) -> Array:
+def _cosine_of_azimuths(wi: Vectors, wo: Vectors) -> Floats:
     """Cosine of phi_o - phi_i (...); 0 where one direction is the normal, and it does not matter."""
     product = np.hypot(wi[..., 0], wi[..., 1]) * np.hypot(wo[..., 0], wo[..., 1])
     inner = wi[..., 0] * wo[..., 0] + wi[..., 1] * wo[..., 1]
@@ -135,6 +133,6 @@ def _cosine_of_azimuths(wi: Vectors, wo: Vectors) -> Array:
     return np.asarray(np.clip(cosine, -1.0, 1.0))
 
 
-def _nothing_but_kinks(wi: Vectors, wo: Vectors, radius: Array) -> Array:
+def _nothing_but_kinks(wi: Vectors, wo: Vectors, radius: Floats) -> Floats:
     """The finest detail of the model: none, where light comes back straight or sideways it has kinks."""
     return np.full(len(wo), np.inf)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from gonio.detectors import Apertures, Detector, Klems
@@ -19,11 +19,10 @@ from gonio.models.distributions import BECKMANN, REACH
 from gonio.models.masking import CODES, VCavity
 from gonio.models.microfacet import Microfacet
 from gonio.optics import Conductor, Dielectric, Lambertian, Material, Mirror
-from gonio.sphere import Vectors, angles, rotate_z
+from gonio.sphere import angles, rotate_z
 from microsurfaces import Cylinders
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.recipe import Fraction, Positive, recipe
-
-Array = NDArray[np.float64]
 
 Local = Annotated[Lambertian | Mirror | Conductor | Dielectric | CookTorrance | Microfacet, Field(discriminator="kind")]
 """How a point of a cylinder reflects: as a diffuser, as a mirror, or as a rough surface of its own."""
@@ -64,7 +63,7 @@ class PoulinFournier:
 
     Lambertian: closed form. Rough (CookTorrance or Microfacet): closed form for Beckmann's distribution with V-cavity
     masking or none and for GGX with none, quadrature to 1e-10 for Smith's maskings. Mirrors (Mirror, Conductor,
-    Dielectric): all light goes to a cone around the axis through the mirror direction. That is a measure and no
+    Dielectric): all light goes to a cone around the axis through the specular direction. That is a measure and no
     function: `eval` refuses, `line_density` gives the power per radian along the cone, and `average` the exact content
     of a detector's bins, which is inversely proportional to their width across the cone: state the bin size with every
     number. For grooves `average(..., order=k)` is exact for k reflections as well, since inside a circle the angle of
@@ -140,7 +139,7 @@ class PoulinFournier:
             protrusion=surface.protrusion,
         )
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """BRDF (..., W) in 1/sr, no cosine, of `wi` and `wo` (..., 3); 0 where a direction is not above the horizon.
 
         Raises ValueError for a mirror as local reflection, which has no values.
@@ -152,14 +151,14 @@ class PoulinFournier:
             )
         wi, wo = np.asarray(wi, np.float64), np.asarray(wo, np.float64)
         shape = np.broadcast_shapes(wi.shape, wo.shape)
-        lamp, eye = (np.broadcast_to(w, shape).reshape(-1, 3) for w in (wi, wo))
-        total = np.zeros((len(lamp), np.size(wavelengths)))
+        source, eye = (np.broadcast_to(w, shape).reshape(-1, 3) for w in (wi, wo))
+        total = np.zeros((len(source), np.size(wavelengths)))
         for fraction, angle in self.groups:
-            turned_lamp, turned_eye = (np.ascontiguousarray(rotate_z(w, -angle)) for w in (lamp, eye))
-            total += fraction * self._group(turned_lamp, turned_eye, wavelengths)
+            turned_source, turned_eye = (np.ascontiguousarray(rotate_z(w, -angle)) for w in (source, eye))
+            total += fraction * self._group(turned_source, turned_eye, wavelengths)
         return total.reshape(*shape[:-1], -1)
 
-    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,), order: int = 1) -> Array:
+    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,), order: int = 1) -> Floats:
         """Bin averages (bins, W) in 1/sr for light from `wi` (3,).
 
         Exact for mirrors, to about 1e-5 of a bin or of the mean for the rest. `order` is the number of reflections, of
@@ -176,29 +175,29 @@ class PoulinFournier:
                 power += fraction * self._arrivals(rotate_z(wi, -angle), angle, detector, wavelengths, order)
         return power / detector.projected_solid_angles()[:, None]
 
-    def line_density(self, wi: ArrayLike, psi: ArrayLike, wavelengths: ArrayLike = (550.0,), order: int = 1) -> Array:
+    def line_density(self, wi: ArrayLike, psi: ArrayLike, wavelengths: ArrayLike = (550.0,), order: int = 1) -> Floats:
         """Share of the light from `wi` (3,), per radian of the projected angle `psi` (n,) radians: (n, W).
 
         Of mirror cylinders with one group along y; light of `order` reflections, without that of the strips.
         """
-        lamp = np.asarray(wi, np.float64)
+        source = np.asarray(wi, np.float64)
         psi = np.atleast_1d(np.asarray(psi, np.float64))
         density = np.zeros((psi.size, np.size(wavelengths)))
-        psi_i = math.atan2(lamp[0], lamp[2])
+        psi_i = math.atan2(source[0], source[2])
         for piece in self._pieces(psi_i, order):
             phi = (psi - piece.offset) / piece.slope
             inside = (phi >= piece.first) & (phi < piece.last)
             cosine = np.cos(phi - psi_i)
-            power = self._reflected(lamp, cosine, wavelengths) ** order * cosine[:, None]
+            power = self._reflected(source, cosine, wavelengths) ** order * cosine[:, None]
             density += np.where(inside[:, None], power, 0.0) / (piece.slope * self.distance * math.cos(psi_i))
         return density
 
-    def strip_share(self, wi: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Array:
-        """Share of the light from `wi` (3,) that flat strips send into the mirror direction, (W,)."""
-        lamp = np.asarray(wi, np.float64)
-        psi = math.atan2(lamp[0], lamp[2])
+    def strip_share(self, wi: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Floats:
+        """Share of the light from `wi` (3,) that flat strips send into the specular direction, (W,)."""
+        source = np.asarray(wi, np.float64)
+        psi = math.atan2(source[0], source[2])
         strip = shared(*self._profile(), psi, -psi)[2]
-        return np.asarray(self._reflectance(np.array([lamp[2]]), wavelengths)[0] * strip / self.distance)
+        return np.asarray(self._reflectance(np.array([source[2]]), wavelengths)[0] * strip / self.distance)
 
     # --- Geometry -----------------------------------------------------------------------------------------------------
 
@@ -253,38 +252,45 @@ class PoulinFournier:
 
     # --- Mirrors ------------------------------------------------------------------------------------------------------
 
-    def _reflectance(self, cosines: Array, wavelengths: ArrayLike) -> Array:
+    def _reflectance(self, cosines: Floats, wavelengths: ArrayLike) -> Floats:
         """Reflectance (n, W) of the local mirror."""
         assert isinstance(self.local, Mirror | Conductor | Dielectric)
         return self.local.reflectance(cosines, wavelengths)
 
-    def _reflected(self, lamp: Vectors, cosine: Array, wavelengths: ArrayLike) -> Array:
+    def _reflected(self, source: Vectors, cosine: Floats, wavelengths: ArrayLike) -> Floats:
         """Reflectance (n, W) where the projected angle of incidence has these cosines."""
-        return self._reflectance(np.clip(cosine * math.hypot(lamp[0], lamp[2]), 0.0, 1.0), wavelengths)
+        return self._reflectance(np.clip(cosine * math.hypot(source[0], source[2]), 0.0, 1.0), wavelengths)
 
-    def _arrivals(self, lamp: Vectors, angle: float, detector: Detector, wavelengths: ArrayLike, order: int) -> Array:
-        """Share of the light (bins, W) in every bin; `lamp` in the frame of a group whose axes are at `angle`."""
-        psi_i, share = math.atan2(lamp[0], lamp[2]), np.zeros((detector.bins, np.size(wavelengths)))
-        cuts = _crossings(lamp, angle, detector)
+    def _arrivals(
+        self, source: Vectors, angle: float, detector: Detector, wavelengths: ArrayLike, order: int
+    ) -> Floats:
+        """Share of the light (bins, W) in every bin; `source` in the frame of a group whose axes are at `angle`."""
+        psi_i, share = math.atan2(source[0], source[2]), np.zeros((detector.bins, np.size(wavelengths)))
+        cuts = _crossings(source, angle, detector)
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
         for piece in self._pieces(psi_i, order):
             phi = (cuts - piece.offset) / piece.slope
             phi = np.concatenate([[piece.first], phi[(phi > piece.first) & (phi < piece.last)], [piece.last]])
             half, middle = np.diff(phi) / 2, (phi[1:] + phi[:-1]) / 2
             cosine = np.cos(middle[:, None] + half[:, None] * nodes - psi_i)
-            power = self._reflected(lamp, cosine.ravel(), wavelengths) ** order * cosine.reshape(-1, 1)
+            power = self._reflected(source, cosine.ravel(), wavelengths) ** order * cosine.reshape(-1, 1)
             power = (power.reshape(*cosine.shape, -1) * weights[:, None]).sum(axis=1) * half[:, None]
             _deposit(
-                share, power / (self.distance * math.cos(psi_i)), _on_cone(lamp, piece, middle), lamp, angle, detector
+                share,
+                power / (self.distance * math.cos(psi_i)),
+                _on_cone(source, piece, middle),
+                source,
+                angle,
+                detector,
             )
         if order == 1:
-            mirrored = lamp * [-1.0, -1.0, 1.0]
-            _deposit(share, self.strip_share(lamp, wavelengths)[None], mirrored[None], lamp, angle, detector)
+            mirrored = source * [-1.0, -1.0, 1.0]
+            _deposit(share, self.strip_share(source, wavelengths)[None], mirrored[None], source, angle, detector)
         return share
 
     # --- Functions ----------------------------------------------------------------------------------------------------
 
-    def _group(self, wi: Array, wo: Array, wavelengths: ArrayLike) -> Array:
+    def _group(self, wi: Floats, wo: Floats, wavelengths: ArrayLike) -> Floats:
         """Values (n, W) of cylinders along y at rows of directions."""
         if isinstance(self.local, Lambertian):
             value = lambertian(self._profile(), wi, wo) * self.local.reflectance
@@ -300,7 +306,7 @@ class PoulinFournier:
             value += (self.local.k_d * self.local.reflectance) * lambertian(self._profile(), wi, wo)[:, None]
         return value
 
-    def _detail(self, wi: Vectors, wo: Vectors, radius: Array) -> Array:
+    def _detail(self, wi: Vectors, wo: Vectors, radius: Floats) -> Floats:
         """The finest detail of f: across the cone, the local lobe; along it, nothing but kinks."""
         finest = np.full(len(wo), np.inf)
         if isinstance(self.local, Lambertian):
@@ -328,15 +334,15 @@ def _bisected(free, a: float, b: float, free_at_a: bool) -> float:
     return (a + b) / 2
 
 
-def _on_cone(lamp: Vectors, piece: _Piece, phi: Array) -> Vectors:
-    """Directions (n, 3) in which normals `phi` (n,) send the light from `lamp`."""
-    psi, across = piece.slope * phi + piece.offset, math.hypot(lamp[0], lamp[2])
-    return np.stack([across * np.sin(psi), np.full_like(psi, -lamp[1]), across * np.cos(psi)], axis=-1)
+def _on_cone(source: Vectors, piece: _Piece, phi: Floats) -> Vectors:
+    """Directions (n, 3) in which normals `phi` (n,) send the light from `source`."""
+    psi, across = piece.slope * phi + piece.offset, math.hypot(source[0], source[2])
+    return np.stack([across * np.sin(psi), np.full_like(psi, -source[1]), across * np.cos(psi)], axis=-1)
 
 
-def _crossings(lamp: Vectors, angle: float, detector: Detector) -> Array:
-    """Projected angles, sorted, at which the cone through the mirror direction of `lamp` crosses edges of bins."""
-    across, axial = math.hypot(lamp[0], lamp[2]), float(lamp[1])
+def _crossings(source: Vectors, angle: float, detector: Detector) -> Floats:
+    """Projected angles, sorted, at which the cone through the specular direction of `source` crosses edges of bins."""
+    across, axial = math.hypot(source[0], source[2]), float(source[1])
     if isinstance(detector, Apertures):
         axes = rotate_z(detector.axes, -angle)
         radius = across * np.hypot(axes[:, 0], axes[:, 2])
@@ -350,17 +356,17 @@ def _crossings(lamp: Vectors, angle: float, detector: Detector) -> Array:
     if isinstance(detector, Klems):
         azimuths = np.radians(np.concatenate([(np.arange(n) + 0.5) * (360 / n) for n in set(detector.sectors)]) - angle)
     else:
-        azimuths = np.radians(detector.dphi_edges + angles(lamp)[1])
+        azimuths = np.radians(detector.dphi_edges + angles(source)[1])
     with np.errstate(divide="ignore"):
         sines = -(axial / across) / np.tan(azimuths)
     sectors = np.arcsin(sines[np.abs(sines) <= 1.0])
     return np.sort(np.concatenate([-rings, rings, sectors, [0.0]]))
 
 
-def _deposit(share: Array, power: Array, wo: Vectors, lamp: Vectors, angle: float, detector: Detector) -> None:
+def _deposit(share: Floats, power: Floats, wo: Vectors, source: Vectors, angle: float, detector: Detector) -> None:
     """Add light (n, W) that leaves in directions `wo` (n, 3) to the bins that see it."""
     if isinstance(detector, Apertures):
         seen = wo @ rotate_z(detector.axes, -angle).T >= math.cos(math.radians(detector.half_angle))
         share += seen.T @ power
         return
-    np.add.at(share, detector.owner(rotate_z(wo, angle), rotate_z(lamp, angle)), power)
+    np.add.at(share, detector.owner(rotate_z(wo, angle), rotate_z(source, angle)), power)

@@ -26,10 +26,8 @@ from gonio.models.masking import SmithCorrelated
 from gonio.models.microfacet import Microfacet
 from gonio.optics import Lambertian, Material, Mirror, Specular, fresnel
 from gonio.randomness import WORD, kernel, philox, uniform
-from gonio.sphere import Vectors
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.recipe import recipe
-
-Array = NDArray[np.float64]
 
 BATCHES = 32
 """Independent batches that the standard errors come from."""
@@ -112,12 +110,12 @@ class SmithMultipleScattering:
             raise ValueError(f"SmithMultipleScattering describes specimens of mirror facets, and this is {material!r}.")
         return cls(distribution=Beckmann.of(statistics, surface), material=material)
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """BRDF (..., W) in 1/sr, no cosine, of `wi` and `wo` (..., 3), an estimate: `eval_with_error` tells its error.
 
         0 where a direction is not above the horizon. Takes `walks` paths for every pair.
         """
-        value: Array = self.eval_with_error(wi, wo, wavelengths, orders=1).value[0]
+        value: Floats = self.eval_with_error(wi, wo, wavelengths, orders=1).value[0]
         return value
 
     def eval_with_error(
@@ -125,22 +123,22 @@ class SmithMultipleScattering:
     ) -> Estimate:
         """BRDF (orders + 1, ..., W) in 1/sr: all light, then that of 1, 2 ... reflections, the last with all beyond."""
         shape = np.broadcast_shapes(np.shape(wi), np.shape(wo))
-        lamp, eye = (np.ascontiguousarray(np.broadcast_to(w, shape), np.float64).reshape(-1, 3) for w in (wi, wo))
+        source, eye = (np.ascontiguousarray(np.broadcast_to(w, shape), np.float64).reshape(-1, 3) for w in (wi, wo))
         lobes, (eta, k) = self.distribution.lobes(), _indices(self.material, wavelengths)
-        wanted = (_checked(orders) + 1, len(lamp), np.size(wavelengths))
+        wanted = (_checked(orders) + 1, len(source), np.size(wavelengths))
 
-        def batch(walks: range) -> Array:
+        def batch(walks: range) -> Floats:
             value = np.zeros(wanted)
-            _next_events(lobes, eta, k, lamp, eye, walks.start, walks.stop, self._key, value)
+            _next_events(lobes, eta, k, source, eye, walks.start, walks.stop, self._key, value)
             return value / len(walks)
 
         value, error = (x.reshape(orders + 1, *shape[:-1], -1) for x in self._over_batches(batch))
         value[:2] += specular(self.distribution, SmithCorrelated(), self.material, wi, wo, wavelengths)
         return Estimate(value, error)
 
-    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """Bin averages (bins, W) in 1/sr for light from `wi` (3,): the sum of `estimate` over all orders."""
-        value: Array = self.estimate(wi, detector, wavelengths, orders=1).value[0]
+        value: Floats = self.estimate(wi, detector, wavelengths, orders=1).value[0]
         return value
 
     def estimate(
@@ -157,7 +155,7 @@ class SmithMultipleScattering:
         if wi[2] <= 0.0:
             return Estimate(*np.zeros((2, *shape)))
 
-        def batch(walks: range) -> Array:
+        def batch(walks: range) -> Floats:
             caught = np.zeros(shape)
             for exits in self._walked(wi, wavelengths, walks):
                 _collect(detector, wi, exits, caught)
@@ -179,7 +177,7 @@ class SmithMultipleScattering:
         if wi[2] <= 0.0:
             return Estimate(*np.zeros((2, *shape)))
 
-        def batch(walks: range) -> Array:
+        def batch(walks: range) -> Floats:
             total = np.zeros(shape)
             for exits in self._walked(wi, wavelengths, walks):
                 total[:2] += exits.once.sum(axis=0)
@@ -194,7 +192,7 @@ class SmithMultipleScattering:
         """The seed as the random numbers know it."""
         return self.seed & int(WORD), self.seed >> 32
 
-    def _over_batches(self, batch: Callable[[range], Array]) -> Estimate:
+    def _over_batches(self, batch: Callable[[range], Floats]) -> Estimate:
         """Mean and standard error of what `batch` finds with its share of the walks, all of them side by side."""
         size = -(-self.walks // BATCHES)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -220,13 +218,13 @@ class SmithMultipleScattering:
 class _Exits(NamedTuple):
     """Where walks ended."""
 
-    directions: Array
+    directions: Floats
     """(n, 3)"""
     hits: NDArray[np.int64]
     """(n,) facets met, 2 or more."""
-    weights: Array
+    weights: Floats
     """(n, W) what left then."""
-    once: Array
+    once: Floats
     """(n, W) what had left after the first facet; it is not followed."""
 
     @classmethod
@@ -246,7 +244,7 @@ def _checked(orders: int) -> int:
     return orders
 
 
-def _indices(material: Specular, wavelengths: ArrayLike) -> tuple[Array, Array]:
+def _indices(material: Specular, wavelengths: ArrayLike) -> tuple[Floats, Floats]:
     """eta and k (W,) of the refractive index, empty for a Mirror."""
     index = np.zeros(0, complex) if isinstance(material, Mirror) else material.refractive_index(wavelengths)
     return index.real.copy(), index.imag.copy()
@@ -323,8 +321,8 @@ def _beckmann_slopes(c, walk, step, k0, k1):
 def _ggx_normal(x, y, z, walk, step, k0, k1):
     """A vector along the normal of a unit hemisphere as seen from (x, y, z), which is a unit vector.
 
-    Its mirror directions fill a spherical cap evenly (J. Dupuy, A. Benyoub, Sampling Visible GGX Normals with Spherical
-    Caps, 2023, doi:10.1111/cgf.14867), from below the horizon as well; 1 + z must not cancel there.
+    Its specular directions fill a spherical cap evenly (J. Dupuy, A. Benyoub, Sampling Visible GGX Normals with
+    Spherical Caps, 2023, doi:10.1111/cgf.14867), from below the horizon as well; 1 + z must not cancel there.
     """
     r0, r1, _, _ = philox(walk, walk >> 32, step, 0, k0, k1)
     height = 1.0 + z if z > 0.0 else (x * x + y * y) / (1.0 - z)
@@ -470,7 +468,7 @@ def _next_events(lobes, eta, k, wi, wo, first, stop, key, value):
 # --- Bins ------------------------------------------------------------------------------------------------------------
 
 
-def _collect(detector: Detector, wi: Vectors, exits: _Exits, caught: Array) -> None:
+def _collect(detector: Detector, wi: Vectors, exits: _Exits, caught: Floats) -> None:
     """Add what left to `caught` (orders + 1, bins, W): to the sum of all orders, and to its own."""
     if isinstance(detector, Apertures):
         cosine = math.cos(math.radians(detector.half_angle))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import model_validator
 
 from gonio.detectors import Detector
@@ -14,9 +14,8 @@ from gonio.models.averages import bin_average
 from gonio.models.distributions import Beckmann
 from gonio.models.facets import above, lobe_detail
 from gonio.optics import Material
+from microsurfaces.arrays import Floats
 from microsurfaces.recipe import Fraction, Positive, recipe
-
-Array = NDArray[np.float64]
 
 
 @recipe
@@ -98,7 +97,7 @@ class Ward:
         """The lobe as a distribution of half vectors."""
         return Beckmann(alpha=self.alpha, alpha_x=self.alpha_x, alpha_y=self.alpha_y, rotation=self.rotation)
 
-    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """BRDF (..., W) in 1/sr, no cosine, of `wi` and `wo` (..., 3); 0 where a direction is not above the horizon."""
         lit = above(wi, wo)
         h = np.where(lit[..., None], np.asarray(wi, np.float64) + np.asarray(wo, np.float64), [0.0, 0.0, 1.0])
@@ -107,6 +106,6 @@ class Ward:
         value = np.where(lit, self.reflectance / np.pi + self.specular * lobe, 0.0)
         return np.repeat(value[..., None], np.size(wavelengths), axis=-1)
 
-    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Array:
+    def average(self, wi: ArrayLike, detector: Detector, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """Bin averages (bins, W) in 1/sr for light from `wi` (3,), to about 1e-5 of a bin or of the mean."""
         return bin_average(self, lobe_detail(self.distribution), wi, detector, wavelengths)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gonio.randomness import kernel
+from microsurfaces.arrays import Floats
 
-Array = NDArray[np.float64]
 
-
-def fresnel_dielectric(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Array, Array]:
+def fresnel_dielectric(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Floats, Floats]:
     """Reflectances (R_s, R_p) of an interface between transparent media (Born & Wolf, Principles of Optics, 1.5.2).
 
     `cos_i` in [0, 1] is the cosine of the angle of incidence, `eta` > 0 the refractive index of the far medium over
@@ -25,7 +24,7 @@ def fresnel_dielectric(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Array, Array]:
     return np.where(total, 1.0, r_s**2), np.where(total, 1.0, r_p**2)
 
 
-def fresnel_transmittance(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Array, Array]:
+def fresnel_transmittance(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Floats, Floats]:
     """Transmittances (T_s, T_p): the transmitted share of the incident power; arguments as for `fresnel_dielectric`.
 
     T = eta cos_t / cos_i |t|^2 with Fresnel's amplitudes t, so that R + T = 1 is a law and not a definition.
@@ -36,7 +35,7 @@ def fresnel_transmittance(cos_i: ArrayLike, eta: ArrayLike) -> tuple[Array, Arra
     return np.where(eta == 1.0, 1.0, t_s), np.where(eta == 1.0, 1.0, t_p)
 
 
-def fresnel_conductor(cos_i: ArrayLike, eta: ArrayLike, k: ArrayLike) -> tuple[Array, Array]:
+def fresnel_conductor(cos_i: ArrayLike, eta: ArrayLike, k: ArrayLike) -> tuple[Floats, Floats]:
     """Reflectances (R_s, R_p) of a medium of complex index `eta` + i `k` (Born & Wolf, Principles of Optics, 14.2).
 
     `cos_i` in [0, 1], `eta` > 0, `k` >= 0, broadcast against each other. With k = 0 it is the dielectric's.
@@ -68,7 +67,7 @@ def fresnel(cosine, eta, k):
     return (modulus + cos2 - twice) * p / ((modulus + cos2 + twice) * (p + twice * sin2))
 
 
-def fresnel_table(eta: Array, k: Array) -> Array:
+def fresnel_table(eta: Floats, k: Floats) -> Floats:
     """Unpolarised reflectances of indices `eta` + i `k`, (W,) each, over the cosine: (intervals, 6, W).
 
     In each of equal intervals of the cosine from 0 to 1 it is a polynomial of degree 5 in the place within the
@@ -82,19 +81,19 @@ def fresnel_table(eta: Array, k: Array) -> Array:
         values, exact = (
             np.mean(fresnel_conductor((starts + x)[..., None] / intervals, eta, k), axis=0) for x in (nodes, probes)
         )
-        table: Array = np.linalg.solve(np.vander(nodes, increasing=True), values)
+        table: Floats = np.linalg.solve(np.vander(nodes, increasing=True), values)
         if np.abs(np.vander(probes, 6, increasing=True) @ table - exact).max() < 2.0**-34:
             return table
     return np.zeros((0, 6, len(eta)))
 
 
-def _refracted(c: Array, eta: Array) -> Array:
+def _refracted(c: Floats, eta: Floats) -> Floats:
     """eta times the cosine of the angle of refraction, 0 where the reflection is total; exact for eta close to 1."""
     return np.sqrt(np.maximum((eta - 1.0) * (eta + 1.0) + c * c, 0.0))
 
 
-def _ratio(numerator: Array, denominator: Array) -> Array:
+def _ratio(numerator: Floats, denominator: Floats) -> Floats:
     """The quotient, 0 where both are 0 (grazing light on an interface without contrast)."""
     zero = denominator == 0.0
-    quotient: Array = np.where(zero, 0.0, numerator) / np.where(zero, 1.0, denominator)
+    quotient: Floats = np.where(zero, 0.0, numerator) / np.where(zero, 1.0, denominator)
     return quotient

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
-from gonio.optics.fresnel import Array, fresnel_conductor, fresnel_dielectric
+from gonio.optics.fresnel import fresnel_conductor, fresnel_dielectric
 from gonio.optics.refractive_index import (
     CONDUCTORS,
     DIELECTRICS,
@@ -17,6 +17,7 @@ from gonio.optics.refractive_index import (
     index_table,
     unknown_name,
 )
+from microsurfaces.arrays import Floats
 from microsurfaces.recipe import Fraction, NonNegative, Positive, recipe
 
 SLIGHT = 0.01
@@ -30,7 +31,7 @@ class Mirror:
     Nothing absorbs it, so whatever energy a measurement misses was lost by the instrument: the white-furnace material.
     """
 
-    def reflectance(self, cos_i: ArrayLike, wavelengths: ArrayLike) -> Array:
+    def reflectance(self, cos_i: ArrayLike, wavelengths: ArrayLike) -> Floats:
         """Ones, shape (..., W)."""
         return np.ones((*np.shape(cos_i), np.size(wavelengths)))
 
@@ -90,11 +91,11 @@ class Conductor:
         assert self.k is not None
         return np.full(np.size(wavelengths), complex(self.eta, self.k))
 
-    def reflectance(self, cos_i: ArrayLike, wavelengths: ArrayLike) -> Array:
+    def reflectance(self, cos_i: ArrayLike, wavelengths: ArrayLike) -> Floats:
         """Unpolarised reflectance (..., W) at cosines of incidence `cos_i` (...) in [0, 1] and `wavelengths` in nm."""
         index = self.refractive_index(wavelengths)
         r_s, r_p = fresnel_conductor(np.asarray(cos_i)[..., None], index.real, index.imag)
-        mean: Array = (r_s + r_p) / 2.0
+        mean: Floats = (r_s + r_p) / 2.0
         return mean
 
 
@@ -145,10 +146,10 @@ class Dielectric:
         assert self.eta is not None
         return np.full(np.size(wavelengths), complex(self.eta))
 
-    def reflectance(self, cos_i: ArrayLike, wavelengths: ArrayLike) -> Array:
+    def reflectance(self, cos_i: ArrayLike, wavelengths: ArrayLike) -> Floats:
         """Unpolarised reflectance (..., W) at cosines of incidence `cos_i` (...) in [0, 1] and `wavelengths` in nm."""
         r_s, r_p = fresnel_dielectric(np.asarray(cos_i)[..., None], self.refractive_index(wavelengths).real)
-        mean: Array = (r_s + r_p) / 2.0
+        mean: Floats = (r_s + r_p) / 2.0
         return mean
 
 

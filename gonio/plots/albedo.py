@@ -12,7 +12,6 @@ from gonio.plots import style
 from gonio.plots.style import (
     INK,
     MARKERS,
-    Array,
     PathLike,
     channel,
     has_errors,
@@ -26,6 +25,7 @@ from gonio.plots.style import (
     thinned,
 )
 from gonio.sphere import direction
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -96,7 +96,7 @@ def _models(
             panel.plot(theta, curve, marker, ms=5.5, mfc="none", mec=hue(nm), mew=1.1, zorder=3)
 
 
-def _of_model(model: Model, theta: float, phi: float, wavelengths: Sequence[float]) -> Array:
+def _of_model(model: Model, theta: float, phi: float, wavelengths: Sequence[float]) -> Floats:
     """The albedo of a model (W,)."""
     area = GRID.projected_solid_angles()
     return np.asarray(area @ model.average(direction(theta, phi), GRID, wavelengths))

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio import appearance
-from gonio.plots.style import INK, Array, PathLike, headline, hits, new_figure, save
+from gonio.plots.style import INK, PathLike, headline, hits, new_figure, save
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -65,7 +66,7 @@ def sphere(measurement: Measurement, path: PathLike, models: Sequence[Model] = (
     return save(figure, path)
 
 
-def _shaded(source: Measurement | Model, wavelengths: Array | None, size: int) -> tuple[Array, Array]:
+def _shaded(source: Measurement | Model, wavelengths: Floats | None, size: int) -> tuple[Floats, Floats]:
     """Radiances of the sphere, and of the plate under a lamp of irradiance 1."""
     lobes = appearance.coloured(source, wavelengths)
     extent = round(PLATE[0] * size), round(PLATE[1] * size)

@@ -21,7 +21,6 @@ from gonio.plots.style import (
     ORDERS,
     PERCENT,
     STYLES,
-    Array,
     Incidence,
     PathLike,
     channel_words,
@@ -34,6 +33,7 @@ from gonio.plots.style import (
     thinned,
 )
 from gonio.sphere import direction
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -144,11 +144,11 @@ class _Slice:
     """One incidence in its plane, at one wavelength."""
 
     incidence: Incidence
-    angle: Array
+    angle: Floats
     """(n,) signed theta_o, degrees"""
-    measured: dict[str, tuple[Array, Array]]
+    measured: dict[str, tuple[Floats, Floats]]
     """By order: values (n,) in 1/sr, NaN where hits are too few, and their standard errors."""
-    models: list[tuple[str, Array]]
+    models: list[tuple[str, Floats]]
     """Of every fit its order and its values (n,) in 1/sr."""
 
     @classmethod
@@ -164,7 +164,7 @@ class _Slice:
         ]
         return cls(incidence, cut.angle, measured, models)
 
-    def left_over(self) -> Iterator[Array]:
+    def left_over(self) -> Iterator[Floats]:
         """Of every fit model / measured - 1 (n,), percent."""
         for order, model in self.models:
             yield 100.0 * (model / self.measured[order][0] - 1.0)

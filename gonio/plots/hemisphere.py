@@ -18,7 +18,6 @@ from gonio.plots.style import (
     LAMP,
     MIRROR,
     SPARSE,
-    Array,
     Incidence,
     PathLike,
     channel_words,
@@ -32,6 +31,7 @@ from gonio.plots.style import (
     nearest_wavelength,
     new_figure,
 )
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -97,7 +97,7 @@ def _blanks(measurement: Measurement) -> str:
     return f"{blank}: nothing is known, or no light"
 
 
-def on_disc(theta: ArrayLike) -> Array:
+def on_disc(theta: ArrayLike) -> Floats:
     """Radius on the disc of equal areas, 1 at the horizon, for polar angles in degrees."""
     return np.asarray(np.sqrt(2.0) * np.sin(np.radians(theta) / 2))
 
@@ -112,8 +112,8 @@ def new_maps(rows: int, columns: int) -> tuple[Figure, Any]:
 class _Map:
     """What is drawn for one incidence; NaN where it is hatched."""
 
-    value: Array
-    error: Array
+    value: Floats
+    error: Floats
     """Relative standard error in percent."""
 
     @classmethod
@@ -158,7 +158,7 @@ def contour_levels(low: float, high: float) -> list[float]:
 
 
 def draw_bins(
-    panel: Axes, incidence: Incidence, detector: Detector, shown: Array, norm: Normalize, colours: str
+    panel: Axes, incidence: Incidence, detector: Detector, shown: Floats, norm: Normalize, colours: str
 ) -> None:
     """Fill bins, patches or apertures with the colours of `shown`; NaN stays blank, an aperture white."""
     if "dphi" in incidence.data.dims:
@@ -169,7 +169,7 @@ def draw_bins(
         _draw_apertures(panel, incidence, detector, shown, norm, colours)
 
 
-def _draw_grid(panel: Axes, incidence: Incidence, shown: Array, norm: Normalize, colours: str) -> None:
+def _draw_grid(panel: Axes, incidence: Incidence, shown: Floats, norm: Normalize, colours: str) -> None:
     theta, dphi = (incidence.data[name].values for name in ("theta_o_bounds", "dphi_bounds"))
     # matplotlib joins corners by straight lines: wide sectors are cut into pieces that look round.
     pieces = -(-120 // len(dphi))
@@ -180,7 +180,7 @@ def _draw_grid(panel: Axes, incidence: Incidence, shown: Array, norm: Normalize,
 
 
 def _draw_patches(
-    panel: Axes, incidence: Incidence, detector: Klems, shown: Array, norm: Normalize, colours: str
+    panel: Axes, incidence: Incidence, detector: Klems, shown: Floats, norm: Normalize, colours: str
 ) -> None:
     from matplotlib import colormaps
 
@@ -194,7 +194,7 @@ def _draw_patches(
 
 
 def _draw_apertures(
-    panel: Axes, incidence: Incidence, detector: Detector, shown: Array, norm: Normalize, colours: str
+    panel: Axes, incidence: Incidence, detector: Detector, shown: Floats, norm: Normalize, colours: str
 ) -> None:
     from matplotlib import colormaps
 

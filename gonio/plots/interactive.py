@@ -14,7 +14,6 @@ from gonio.plots.style import (
     COLOURS,
     INK,
     PAPER,
-    Array,
     Incidence,
     channel_words,
     choose_incidences,
@@ -22,6 +21,7 @@ from gonio.plots.style import (
     nearest_wavelength,
 )
 from gonio.sphere import direction
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     from gonio.measurement import Measurement
@@ -108,7 +108,7 @@ def _lobe(go: Any, shell: Shell, scale: Scale) -> Any:
     )
 
 
-def _line(go: Any, points: Array, colour: str, thick: float, **more: Any) -> Any:
+def _line(go: Any, points: Floats, colour: str, thick: float, **more: Any) -> Any:
     x, y, z = np.round(points.T, 4)
     style = {"mode": "lines", "hoverinfo": "skip", "showlegend": False, "line": {"color": colour, "width": thick}}
     return go.Scatter3d(x=x, y=y, z=z, **(style | more))

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from gonio.plots import style
 from gonio.plots.patches import DPHI, THETA
-from gonio.plots.style import COLOURS, INK, LAMP, MIRROR, PAPER, Array, Incidence
+from gonio.plots.style import COLOURS, INK, LAMP, MIRROR, PAPER, Incidence
 from gonio.plots.surface_view import require_screen
 from gonio.sphere import direction, rotate_z
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,9 +42,9 @@ GROUND = "#b4bac0"
 class Shell:
     """One lobe: scattered light per solid angle at the vertices of `patches`, and how it is painted."""
 
-    value: Array
+    value: Floats
     """(rows, columns) BRDF times cosine in 1/sr, NaN where no bin around is known."""
-    paint: Array | str | None = None
+    paint: Floats | str | None = None
     """Colours of the vertices (rows, columns, 3), one colour for all, or those of the value."""
     opacity: float = 1.0
 
@@ -71,7 +72,7 @@ class Scale:
     logarithmic: bool
 
     @classmethod
-    def of(cls, values: Sequence[Array], radius: Literal["linear", "log"] | None = None) -> Scale:
+    def of(cls, values: Sequence[Floats], radius: Literal["linear", "log"] | None = None) -> Scale:
         """One scale for all lobes: linear unless told, or one of them is a needle or far smaller than another."""
         peaks = np.array([np.nanmax(value) for value in values])
         high = float(peaks.max())
@@ -82,7 +83,7 @@ class Scale:
         logarithmic = radius == "log"
         return cls(high / 10**LOG_DECADES if logarithmic else 0.0, high, logarithmic)
 
-    def radius(self, value: Array) -> Array:
+    def radius(self, value: Floats) -> Floats:
         """Distance from the origin at which a value is drawn."""
         if not self.logarithmic:
             return np.asarray(np.maximum(value, 0.0) / self.high)
@@ -102,7 +103,7 @@ class Scale:
             return f"logarithmic radius from {self.low:.2g} (centre) to {self.high:.2g} sr⁻¹ (arc)"
         return f"linear radius, arc at {self.high:.2g} sr⁻¹"
 
-    def colours(self, value: Array) -> Array:
+    def colours(self, value: Floats) -> Floats:
         """RGB in [0, 1], shape (..., 3)."""
         from matplotlib import colormaps
 
@@ -110,7 +111,7 @@ class Scale:
         return np.asarray(colormaps[COLOURS](np.ma.filled(self.norm(clipped), 0.0))[..., :3])
 
 
-def solid_angle(value: Array) -> float:
+def solid_angle(value: Floats) -> float:
     """Albedo over peak: the solid angle (sr) that a lobe would fill at its peak value."""
     theta, known = np.radians(THETA), np.nan_to_num(value)
     weight = np.trapezoid(known.mean(axis=1) * np.sin(theta), theta)
@@ -121,7 +122,7 @@ def solid_angle(value: Array) -> float:
 class Ground:
     """A piece of relief under the lobe, true to scale and hugely enlarged."""
 
-    points: Array
+    points: Floats
     """(ny, nx, 3), highest just below the plane, x along azimuth 0 of the specimen."""
     words: str
 
@@ -142,7 +143,7 @@ class Ground:
         points = np.stack([x, y, z - z.max()], axis=-1) * (cls.SIDE / width) - (0.0, 0.0, 0.015)
         return cls(points, f"relief under the lobe {width:.3g} µm wide, true to scale")
 
-    def turned(self, phi: float) -> Array:
+    def turned(self, phi: float) -> Floats:
         """The points where the lamp's azimuth `phi` is 0."""
         return rotate_z(self.points, -phi)
 
@@ -150,7 +151,7 @@ class Ground:
 # --- Shapes ----------------------------------------------------------------------------------------------------------
 
 
-def colours_of(shell: Shell, scale: Scale) -> Array:
+def colours_of(shell: Shell, scale: Scale) -> Floats:
     """RGB in [0, 1] of the vertices (rows, columns, 3)."""
     from matplotlib.colors import to_rgb
 
@@ -161,12 +162,12 @@ def colours_of(shell: Shell, scale: Scale) -> Array:
     return shell.paint
 
 
-def vertices(shell: Shell, scale: Scale) -> Array:
+def vertices(shell: Shell, scale: Scale) -> Floats:
     """Points (rows, columns, 3) of a lobe."""
     return np.asarray(scale.radius(shell.value)[..., None] * direction(THETA[:, None], DPHI))
 
 
-def surface(shell: Shell, scale: Scale) -> tuple[Array, NDArray[np.int64], Array]:
+def surface(shell: Shell, scale: Scale) -> tuple[Floats, NDArray[np.int64], Floats]:
     """Points (n, 3), quadrangles (m, 4) and the points' colours (n, 3) of a lobe, holes left out."""
     points = vertices(shell, scale).reshape(-1, 3)
     number = np.arange(len(points)).reshape(shell.value.shape)
@@ -179,7 +180,7 @@ def surface(shell: Shell, scale: Scale) -> tuple[Array, NDArray[np.int64], Array
     return np.where(known[:, None], points, 0.0), corners, colours_of(shell, scale).reshape(-1, 3)
 
 
-def arrows(incidence: Incidence) -> list[tuple[Array, Array, str]]:
+def arrows(incidence: Incidence) -> list[tuple[Floats, Floats, str]]:
     """(tail, head, colour) of the lamp's and the mirror's arrow outside the lobe."""
     lamp, mirror = direction(incidence.theta, 0.0), direction(incidence.theta, 180.0)
     # At normal incidence the two would hide each other.
@@ -187,7 +188,7 @@ def arrows(incidence: Incidence) -> list[tuple[Array, Array, str]]:
     return [(1.36 * lamp + aside, 1.06 * lamp + aside, LAMP), (1.06 * mirror - aside, 1.36 * mirror - aside, MIRROR)]
 
 
-def _guides(view: View) -> list[tuple[Array, str]]:
+def _guides(view: View) -> list[tuple[Floats, str]]:
     """Polylines (n, 3) and colours: rings of theta_o on the plane, the arc of directions, rays, axes x and y."""
     around = np.linspace(0.0, 360.0, 181)
     rings = [(direction(90.0, around) * np.sin(np.radians(t)), "#b9b9b4") for t in (30, 60, 90)]
@@ -249,7 +250,7 @@ def _name(plotter: Any, incidence: Incidence) -> None:
         plotter.add_point_labels(place[None], [name], text_color=colour, justification_horizontal="center", **look)
 
 
-def _on_screen(points: Array) -> Array:
+def _on_screen(points: Floats) -> Floats:
     """Orthographic projection (..., 2) of points (..., 3)."""
     return np.stack([points @ RIGHT, points @ UP], axis=-1)
 
@@ -260,7 +261,7 @@ def _label(panel: Axes, view: View) -> None:
 
     halo = [withStroke(linewidth=2.5, foreground="white")]
 
-    def write(point: Array, text: str, colour: str, size: float, align: str = "center") -> None:
+    def write(point: Floats, text: str, colour: str, size: float, align: str = "center") -> None:
         x, y = _on_screen(point)
         panel.text(x, y, text, color=colour, fontsize=size, ha=align, va="center", path_effects=halo)
 
@@ -364,7 +365,7 @@ def _paint(panel: Axes, view: View, scale: Scale, ground: Ground | None) -> None
         panel.annotate("", tuple(_on_screen(head)), tuple(_on_screen(tail)), arrowprops=arrow, zorder=4)
 
 
-def _paint_facets(panel: Axes, corners: Array, colours: Array, opacity: float, zorder: int) -> None:
+def _paint_facets(panel: Axes, corners: Floats, colours: Floats, opacity: float, zorder: int) -> None:
     """Fill facets (n, 4, 3) from back to front; opaque ones have edges of their own colour, which hide the seams."""
     from matplotlib.collections import PolyCollection
 
@@ -375,7 +376,7 @@ def _paint_facets(panel: Axes, corners: Array, colours: Array, opacity: float, z
     panel.add_collection(facets)
 
 
-def _facets(points: Array, colours: Array) -> tuple[Array, Array]:
+def _facets(points: Floats, colours: Floats) -> tuple[Floats, Floats]:
     """Corners (n, 4, 3) and shaded colours (n, 3) of the facets between points (rows, columns, 3); holes left out."""
     corners, four = (
         np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2).reshape(-1, 4, 3) for x in (points, colours)

@@ -21,7 +21,6 @@ from gonio.plots.style import (
     MORE,
     ORDERS,
     PERCENT,
-    Array,
     Incidence,
     PathLike,
     channel_words,
@@ -36,6 +35,7 @@ from gonio.plots.style import (
     new_figure,
 )
 from gonio.sphere import direction
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -213,24 +213,24 @@ class _Subject:
     moving: bool
     """Whether its incidences lie between measured ones."""
 
-    def read(self, data: Any, order: str) -> Array:
+    def read(self, data: Any, order: str) -> Floats:
         """Values (rings, sectors, channels) in the bins: one channel, or linear sRGB."""
         return self._mixed(data["brdf"].sel(order=order).transpose("theta_o", "dphi", "wavelength").values)
 
-    def model(self, model: Model, incidence: Incidence) -> Array:
+    def model(self, model: Model, incidence: Incidence) -> Floats:
         """The same of a model."""
         wi, grid = direction(incidence.theta, incidence.phi), self.measurement.detector
         wavelengths = self.measurement.wavelengths if self.true_colour else [self.nm]
         values = model.average(wi, grid, wavelengths).reshape(*grid.shape, -1)
         return values @ self.weights.T if self.true_colour else values
 
-    def _mixed(self, values: Array) -> Array:
+    def _mixed(self, values: Floats) -> Floats:
         if self.true_colour:
             return values @ self.weights.T
         return values[..., self.measurement.wavelengths == self.nm]
 
     @property
-    def weights(self) -> Array:
+    def weights(self) -> Floats:
         """From the measured channels to linear sRGB, (3, W)."""
         basis, wavelengths = str(self.measurement.attributes.get("basis", "spectrum")), self.measurement.wavelengths
         if basis == "RGB":
@@ -244,7 +244,7 @@ class _Subject:
             )
         return rgb_weights(wavelengths)
 
-    def shell(self, data: Any, brdf: Array, opacity: float = SOLID) -> Shell:
+    def shell(self, data: Any, brdf: Floats, opacity: float = SOLID) -> Shell:
         """The lobe of values in the bins (rings, sectors, channels)."""
         light = patches.scattered(data, brdf)
         if not self.true_colour:
@@ -310,7 +310,7 @@ def _beside(subject: _Subject, incidence: Incidence, models: Sequence[Model]) ->
     return views
 
 
-def _difference(ours: Array, theirs: Array) -> Array:
+def _difference(ours: Floats, theirs: Floats) -> Floats:
     """Colours (rows, columns, 3) of model / measured - 1."""
     from matplotlib import colormaps
 

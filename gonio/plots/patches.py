@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.plots.style import Array
 from gonio.sphere import direction
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,7 +26,7 @@ def width(data: xr.Dataset) -> float:
     return max(PATCH, 90 / data.sizes["theta_o"])
 
 
-def scattered(data: xr.Dataset, brdf: Array) -> Array:
+def scattered(data: xr.Dataset, brdf: Floats) -> Floats:
     """Light per solid angle, BRDF times cosine in 1/sr, around every vertex: (rows, columns, channels).
 
     `brdf` (rings, sectors, channels) are the values in the bins of `data`. The weights are the solid angle and a smooth
@@ -38,14 +38,14 @@ def scattered(data: xr.Dataset, brdf: Array) -> Array:
     return np.concatenate([value, np.zeros_like(value[:1])])
 
 
-def averaged(data: xr.Dataset, brdf: Array) -> Array:
+def averaged(data: xr.Dataset, brdf: Floats) -> Floats:
     """The BRDF itself around every vertex but those on the horizon, cos-weighted: (rows - 1, columns, channels)."""
     light, (_, projected) = _around(data, brdf)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray((light / projected[:, None]).reshape(len(THETA) - 1, len(DPHI), -1))
 
 
-def _around(data: xr.Dataset, brdf: Array) -> tuple[Array, tuple[Array, Array]]:
+def _around(data: xr.Dataset, brdf: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
     """Sums of the light (vertices, channels), of the solid angle and of the projected one over the patches."""
     from scipy.sparse import csr_array
     from scipy.spatial import KDTree
@@ -62,7 +62,7 @@ def _around(data: xr.Dataset, brdf: Array) -> tuple[Array, tuple[Array, Array]]:
     return np.asarray(patches @ (values * projected[:, None])), (patches @ solid, patches @ projected)
 
 
-def _pieces(data: xr.Dataset) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+def _pieces(data: xr.Dataset) -> tuple[Floats, Floats, Floats, NDArray[np.intp]]:
     """Bins cut into pieces of half a patch at most.
 
     Their solid angles and projected solid angles (n,), directions (n, 3) and the bins that they belong to (n,).

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from gonio.plots.style import INK, LAMP, MIRROR, PAPER, new_figure, save
 from gonio.sphere import reflect
+from gonio.wording import percent
 from microsurfaces import HeightField, Mesh
+from microsurfaces.arrays import Floats, Indices
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     from gonio.plots.style import PathLike
     from microsurfaces import Surface
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 HITS = (LAMP, MIRROR, "#009e73", "#cc79a7")
@@ -70,9 +70,9 @@ RATIO = 0.64
 class Profile:
     """One period of a section through a surface: segments in the plane (x, z), µm, from left to right."""
 
-    ends: Array
+    ends: Floats
     """(n, 2, 2) both ends (x, z) of each segment; the outside is on the left on the way from first to second."""
-    normals: Array
+    normals: Floats
     """(n, 2, 2) unit normals (x, z) at both ends: exact ones where the surface is smooth by definition."""
     period: float
     y: float
@@ -113,7 +113,7 @@ class Profile:
         return Profile(ends[shown], normals[shown], self.period, self.y)
 
 
-def _flat(ends: Array) -> Array:
+def _flat(ends: Floats) -> Floats:
     """The normals of straight segments, at both ends of each."""
     along = ends[:, 1] - ends[:, 0]
     normals = np.stack([-along[:, 1], along[:, 0]], axis=-1) / np.hypot(*along.T)[:, None]
@@ -134,7 +134,7 @@ def _section(mesh: Mesh) -> Profile:
     return _in_tile(np.concatenate(ends), np.concatenate(normals), float(low[0]), period[0], y)
 
 
-def _crossings(mesh: Mesh, cut: Indices, above: Flags, y: float) -> tuple[Array, Array]:
+def _crossings(mesh: Mesh, cut: Indices, above: Flags, y: float) -> tuple[Floats, Floats]:
     """Ends and normals (m, 2, 2) of the segments in which the plane cuts the triangles `cut` (m,)."""
     # The corner that is alone on its side of the plane, and the two others, in the order of the triangle.
     alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
@@ -155,10 +155,10 @@ def _crossings(mesh: Mesh, cut: Indices, above: Flags, y: float) -> tuple[Array,
     return place, exact / np.linalg.norm(exact, axis=-1, keepdims=True)
 
 
-def _in_tile(ends: Array, normals: Array, left: float, period: float, y: float) -> Profile:
+def _in_tile(ends: Floats, normals: Floats, left: float, period: float, y: float) -> Profile:
     """The segments, cut at the sides of the tile and brought into it."""
-    pieces: list[Array] = []
-    turns: list[Array] = []
+    pieces: list[Floats] = []
+    turns: list[Floats] = []
     for shift in np.arange(int(np.ceil((ends[..., 0].max() - left) / period - ROUNDING))) * period:
         x = ends[..., 0] - shift - left
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -185,9 +185,9 @@ class Meeting(NamedTuple):
 
     segment: Indices
     """-1 for a ray that leaves."""
-    along: Array
+    along: Floats
     """How far along the segment, 0 to 1."""
-    point: Array
+    point: Floats
     """(n, 2) within the tile."""
     tiles: Indices
     """How many periods to the right of where the ray came from that tile is."""
@@ -200,19 +200,19 @@ class Meeting(NamedTuple):
 class Paths(NamedTuple):
     """Light paths (n,) from the plane z = top until they leave."""
 
-    points: Array
+    points: Floats
     """(hits + 1, n, 2) where they start and where they hit, µm, periods unfolded; NaN after the last hit."""
     hits: Indices
-    leaving: Array
+    leaving: Floats
     """(n, 2) unit vectors; NaN for a path that is still on its way after `MOST_HITS`."""
 
 
-def incident(theta_i: float) -> Array:
+def incident(theta_i: float) -> Floats:
     """The direction (x, z) in which the light travels."""
     return np.array([np.sin(np.radians(theta_i)), -np.cos(np.radians(theta_i))])
 
 
-def trace(profile: Profile, x: Array, theta_i: float) -> Paths:
+def trace(profile: Profile, x: Floats, theta_i: float) -> Paths:
     """Mirror light that crosses the plane z = top at `x` (n,) µm until it leaves."""
     n, left, period = len(x), profile.left, profile.period
     tiles = np.floor((x - left) / period).astype(np.intp)
@@ -235,7 +235,7 @@ def trace(profile: Profile, x: Array, theta_i: float) -> Paths:
     return Paths(np.stack(points[: hits.max() + 1]), hits, leaving)
 
 
-def meet(profile: Profile, point: Array, way: Array) -> Meeting:
+def meet(profile: Profile, point: Floats, way: Floats) -> Meeting:
     """What rays from `point` (n, 2) in the tile meet next in the directions `way` (n, 2).
 
     A segment is met from outside only, so that none is in the way of the light that it has just sent off.
@@ -256,7 +256,7 @@ def meet(profile: Profile, point: Array, way: Array) -> Meeting:
     return found
 
 
-def _cross(profile: Profile, point: Array, way: Array, tiles: Indices, flying: Indices) -> Flags:
+def _cross(profile: Profile, point: Floats, way: Floats, tiles: Indices, flying: Indices) -> Flags:
     """Move rays to the next tile, in place; returns which of them have risen above the top before and leave."""
     sign = np.sign(way[flying, 0])
     side = profile.left + profile.period * (sign > 0)
@@ -268,7 +268,7 @@ def _cross(profile: Profile, point: Array, way: Array, tiles: Indices, flying: I
     return np.asarray((way[flying, 1] >= 0) & (z >= profile.top))
 
 
-def _nearest(profile: Profile, point: Array, way: Array) -> tuple[Indices, Array, Array]:
+def _nearest(profile: Profile, point: Floats, way: Floats) -> tuple[Indices, Floats, Floats]:
     """The first segment in the tile whose outside each ray meets (-1 for none), how far along it, and the distance."""
     segment, along, distance = np.full(len(point), -1), np.zeros(len(point)), np.full(len(point), np.inf)
     step = max(1, PAIRS // len(profile.ends))
@@ -289,7 +289,7 @@ def _nearest(profile: Profile, point: Array, way: Array) -> tuple[Indices, Array
     return segment, along, distance
 
 
-def _mirrored(profile: Profile, found: Meeting, way: Array) -> Array:
+def _mirrored(profile: Profile, found: Meeting, way: Floats) -> Floats:
     """Directions after a mirror reflection: about the exact normal, unless it faces away or sends light inside."""
     start, end = profile.normals[found.segment].swapaxes(0, 1)
     smooth = start + found.along[:, None] * (end - start)
@@ -300,12 +300,12 @@ def _mirrored(profile: Profile, found: Meeting, way: Array) -> Array:
     return np.where(serves[:, None], out, reflect(-way, facet))
 
 
-def shares(paths: Paths) -> Array:
+def shares(paths: Paths) -> Floats:
     """Shares of the light that leaves after 1, 2, 3 and more hits, of a mirror that absorbs nothing."""
     return np.bincount(np.clip(paths.hits, 1, 3), minlength=4)[1:] / len(paths.hits)
 
 
-def exposure(profile: Profile, step: float, theta_i: float) -> tuple[Array, Flags, Flags]:
+def exposure(profile: Profile, step: float, theta_i: float) -> tuple[Floats, Flags, Flags]:
     """Pieces (n, 2, 2) of the profile of at most `step` µm; which of them are shadowed, and which lit but masked.
 
     Shadowed: the middle sees no lamp. Masked: the lamp's mirror image there is hidden by the surface.
@@ -393,7 +393,7 @@ class _Window:
         return self.bottom + RATIO * self.width
 
 
-def _evenly(left: float, width: float, count: int) -> Array:
+def _evenly(left: float, width: float, count: int) -> Floats:
     """The middles of `count` equal parts."""
     return left + width * (np.arange(count) + 0.5) / count
 
@@ -416,7 +416,7 @@ def stretch(relief: HeightField | Mesh, profile: Profile, ratio: float) -> float
     return max(3 * profile.period / max(bumps, 1), tall / (0.6 * ratio))
 
 
-def _draw_solid(panel: Axes, window: _Window, profile: Profile, pieces: Array, bands: dict[str, Flags]) -> None:
+def _draw_solid(panel: Axes, window: _Window, profile: Profile, pieces: Floats, bands: dict[str, Flags]) -> None:
     """The body, its outline, and inside of it the bands."""
     from matplotlib.collections import LineCollection
     from matplotlib.patches import PathPatch
@@ -438,7 +438,7 @@ def _draw_solid(panel: Axes, window: _Window, profile: Profile, pieces: Array, b
         spine.set(color="#b9b9b4")
 
 
-def _runs(pieces: Array, period: float) -> list[Array]:
+def _runs(pieces: Floats, period: float) -> list[Floats]:
     """Polylines (m, 2) of the pieces that follow one another."""
     if not len(pieces):
         return []
@@ -447,7 +447,7 @@ def _runs(pieces: Array, period: float) -> list[Array]:
     return [np.concatenate([group[:, 0], group[-1:, 1]]) for group in groups]
 
 
-def body(ends: Array, floor: float) -> Outline:
+def body(ends: Floats, floor: float) -> Outline:
     """What lies below the segments: the sum of the strips below them, those under overhangs counted negative."""
     from matplotlib.path import Path as Outline
 
@@ -473,7 +473,7 @@ def _draw_rays(panel: Axes, window: _Window, profile: Profile, theta_i: float, c
             _arrowhead(panel, *visible, colour, window)
 
 
-def _legs(traced: Paths, way: Array, far: float) -> Iterator[tuple[int, tuple[Array, Array]]]:
+def _legs(traced: Paths, way: Floats, far: float) -> Iterator[tuple[int, tuple[Floats, Floats]]]:
     """The number of hits so far and both ends of every straight piece of every path, `far` µm before and after."""
     for k, hits in enumerate(traced.hits):
         points = list(traced.points[: hits + 1, k])
@@ -483,7 +483,7 @@ def _legs(traced: Paths, way: Array, far: float) -> Iterator[tuple[int, tuple[Ar
         yield from enumerate(pairwise(points))
 
 
-def _clipped(start: Array, end: Array, window: _Window) -> tuple[Array, Array] | None:
+def _clipped(start: Floats, end: Floats, window: _Window) -> tuple[Floats, Floats] | None:
     """What of a leg is seen; None for nothing."""
     low, high = np.array([window.left, window.bottom]), np.array([window.right, window.top])
     along = end - start
@@ -495,7 +495,7 @@ def _clipped(start: Array, end: Array, window: _Window) -> tuple[Array, Array] |
     return None if outside or first >= last else (start + first * along, start + last * along)
 
 
-def _arrowhead(panel: Axes, start: Array, end: Array, colour: str, window: _Window) -> None:
+def _arrowhead(panel: Axes, start: Floats, end: Floats, colour: str, window: _Window) -> None:
     """A head a bit behind the middle of a leg that is long enough to carry one."""
     length = float(np.hypot(*(end - start)))
     if length < 0.035 * window.width:
@@ -521,7 +521,7 @@ def _scale_bar(panel: Axes, window: _Window) -> None:
     )
 
 
-def _tell(panel: Axes, theta_i: float, share: Array, shadowed: float) -> None:
+def _tell(panel: Axes, theta_i: float, share: Floats, shadowed: float) -> None:
     """Beside the picture: where the lamp is, what the colours mean, and how much light they carry."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -532,9 +532,9 @@ def _tell(panel: Axes, theta_i: float, share: Array, shadowed: float) -> None:
     words = ("leaves after 1 hit", "leaves after 2 hits", "leaves after 3 or more")
     handles: list[Artist] = [Line2D([], [], color=LAMP, lw=3, label="from the lamp")]
     for colour, text, part in zip(HITS[1:], words, share, strict=True):
-        handles.append(Line2D([], [], color=colour, lw=3, label=f"{text}:\n{_percent(part)} of the light"))
-    handles.append(Patch(color=SHADOWED, lw=0, label=f"shadowed: no direct light,\n{_percent(shadowed)} of the plane"))
-    masked = _percent(1 - share[0])
+        handles.append(Line2D([], [], color=colour, lw=3, label=f"{text}:\n{percent(part)} of the light"))
+    handles.append(Patch(color=SHADOWED, lw=0, label=f"shadowed: no direct light,\n{percent(shadowed)} of the plane"))
+    masked = percent(1 - share[0])
     handles.append(Patch(color=MASKED, lw=0, label=f"masked: its reflection is\nblocked, {masked} of the light"))
     panel.legend(
         handles=handles,
@@ -545,11 +545,6 @@ def _tell(panel: Axes, theta_i: float, share: Array, shadowed: float) -> None:
         frameon=False,
         labelspacing=0.9,
     )
-
-
-def _percent(share: float) -> str:
-    percent = 100 * share
-    return f"{percent:.0f} %" if percent >= 9.95 or percent == 0 else f"{percent:.2g} %"
 
 
 def _lamp(panel: Axes, theta_i: float) -> None:

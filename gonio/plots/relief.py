@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gonio.plots.paths import Profile, body, name, round_length, stretch
 from gonio.plots.style import COLOURS, INK, MIRROR, PAPER, new_figure, save
 from microsurfaces import Cylinders, Gaussian, HeightField, Mesh, VGrooves
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from gonio.plots.style import PathLike
     from microsurfaces import Statistics, Surface
-
-Array = NDArray[np.float64]
 
 ALONG = (MIRROR, "#cc6677")
 """Colours of what is measured along x and along y."""
@@ -139,7 +137,7 @@ def _draw_relief(panel: Axes, field: HeightField) -> None:
     bar.ax.tick_params(labelsize=10)
 
 
-def shade(colours: Array, heights: Array, field: HeightField) -> Array:
+def shade(colours: Floats, heights: Floats, field: HeightField) -> Floats:
     """`colours` (ny, nx, 3) lit from the upper left; level parts keep theirs, which the colour bar shows.
 
     Slopes are brought to an rms of 0.6, whatever the roughness, so that the bumps always show.
@@ -151,7 +149,7 @@ def shade(colours: Array, heights: Array, field: HeightField) -> Array:
     return np.asarray(1 - (1 - colours * (0.45 + 0.55 * dark)) * (1 - 0.7 * bright))
 
 
-def _limits(heights: Array) -> tuple[float, float]:
+def _limits(heights: Floats) -> tuple[float, float]:
     """Ends of the colour scale, µm, from which the few highest and lowest are left out."""
     low, high = (float(q) for q in np.quantile(heights, (0.001, 0.999)))
     return (low, high) if high > low else (low - 1.0, high + 1.0)
@@ -164,11 +162,11 @@ def _limits(heights: Array) -> tuple[float, float]:
 class Slopes:
     """Densities of the facets' slopes along x and along y, and what is asked for; 1 per unit of slope."""
 
-    edges: Array
+    edges: Floats
     """(n + 1,) slopes."""
-    density: tuple[Array, Array]
+    density: tuple[Floats, Floats]
     """Along x, along y, (n,)."""
-    target: tuple[Array, Array] | None
+    target: tuple[Floats, Floats] | None
     words: str
     """What the target is."""
     beyond: float
@@ -214,7 +212,7 @@ def _range(built: HeightField | Mesh) -> tuple[float, int]:
     return 4.5 * max(x, y), 2 * int(np.clip(22 * max(x, y) / max(min(x, y), 1e-9), 22, 200)) + 1
 
 
-def _gaussian(edges: Array, sigma: float) -> Array:
+def _gaussian(edges: Floats, sigma: float) -> Floats:
     """Mean over each bin of the Gaussian density."""
     from scipy.special import ndtr
 
@@ -243,7 +241,7 @@ def _draw_slopes(panel: Axes, slopes: Slopes, axis: int, logarithmic: bool) -> N
     _legend(panel, "upper center", 2)
 
 
-def inclinations(mesh: Mesh) -> tuple[Array, Array]:
+def inclinations(mesh: Mesh) -> tuple[Floats, Floats]:
     """Angles from the horizontal, degrees, and the share of the plane whose facets are at most that steep."""
     density, edges, _ = mesh.normal_distribution(900)
     sines = np.sin(np.radians(edges)) ** 2
@@ -290,7 +288,7 @@ def _axes(panel: Axes, title: str, x: str, y: str) -> None:
 # --- Correlation and spectrum ----------------------------------------------------------------------------------------
 
 
-def correlations(field: HeightField, values: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def correlations(field: HeightField, values: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
     """Lags (µm) and values along x, and along y, of a periodic map (ny, nx), up to half a period."""
     lines = (values[0, : values.shape[1] // 2 + 1], values[: values.shape[0] // 2 + 1, 0])
     x, y = (
@@ -319,7 +317,7 @@ def _draw_correlation(panel: Axes, surface: Any, field: HeightField) -> None:
     _legend(panel, "upper right", 1)
 
 
-def radial(psd: Array, kx: Array, ky: Array) -> tuple[Array, Array]:
+def radial(psd: Floats, kx: Floats, ky: Floats) -> tuple[Floats, Floats]:
     """Wave numbers (rad/µm) and means of a spectrum over rings, equally wide in the logarithm; empty ones left out."""
     k = np.hypot(kx, ky[:, None])
     least = float(min(kx[kx > 0].min(), ky[ky > 0].min()))

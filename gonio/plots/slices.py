@@ -17,7 +17,6 @@ from gonio.plots.style import (
     MARKERS,
     MIRROR,
     SPARSE,
-    Array,
     Incidence,
     PathLike,
     channel,
@@ -35,6 +34,7 @@ from gonio.plots.style import (
     some_wavelengths,
 )
 from gonio.sphere import direction
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -90,7 +90,7 @@ def slices(measurement: Measurement, path: PathLike, models: Sequence[Model] = (
 class Cut:
     """The bins that lie in a plane of incidence."""
 
-    angle: Array
+    angle: Floats
     """(n,) signed theta_o in degrees, increasing; the mirror's side is positive."""
     weights: csr_array
     """(n, bins) share of each bin in the average at an angle."""
@@ -109,7 +109,7 @@ class Cut:
         weights = csr_array((share, bins, np.cumsum([0, *counts])), shape=(len(points), len(area)))
         return cls(np.array([angle for angle, _ in points]), weights)
 
-    def read(self, data: xr.Dataset, order: str, nm: float) -> tuple[Array, Array]:
+    def read(self, data: xr.Dataset, order: str, nm: float) -> tuple[Floats, Floats]:
         """Averages (n,) and their standard errors."""
         chosen = data.sel(order=order, wavelength=nm)
         value, whole, mc = (
@@ -172,7 +172,7 @@ def _curves(panel: Axes, incidence: Incidence, cut: Cut, wavelengths: Sequence[f
             panel.fill_between(cut.angle, low, high, color=hue(nm), alpha=0.3 if whole else 0.15, lw=0)
 
 
-def _alone(value: Array) -> Array:
+def _alone(value: Floats) -> Floats:
     """`value` where it has no neighbour to draw a line to, else NaN: the one bin of a mirror."""
     known = np.pad(np.isfinite(value), 1)
     return np.where(known[:-2] | known[2:], np.nan, value)
@@ -188,7 +188,7 @@ def _points(panel: Axes, incidence: Incidence, cut: Cut, wavelengths: Sequence[f
 
 
 def _model_points(
-    panel: Axes, cut: Cut, values: Array, wavelengths: Sequence[float], marker: str, shift: float
+    panel: Axes, cut: Cut, values: Floats, wavelengths: Sequence[float], marker: str, shift: float
 ) -> None:
     """Markers on every few bins, `shift` of the way to the next, so that those of several models interleave."""
     every = max(1, len(cut.angle) // 20)
@@ -231,7 +231,7 @@ def angle_axis(panel: Axes) -> None:
     panel.tick_params(labelsize=9)
 
 
-def _values(incidences: Sequence[Incidence], cuts: Sequence[Cut]) -> Iterator[Array]:
+def _values(incidences: Sequence[Incidence], cuts: Sequence[Cut]) -> Iterator[Floats]:
     """What is drawn: values with enough hits."""
     for incidence, cut in zip(incidences, cuts, strict=True):
         for order in order_lines(incidence.data):
@@ -240,7 +240,7 @@ def _values(incidences: Sequence[Incidence], cuts: Sequence[Cut]) -> Iterator[Ar
                 yield cut.read(incidence.data, order, nm)[0][enough]
 
 
-def value_limits(values: Iterable[Array]) -> tuple[float, float]:
+def value_limits(values: Iterable[Floats]) -> tuple[float, float]:
     """From half the smallest positive value, but `DECADES` down at most, to twice the largest."""
     positive = np.concatenate(list(values))
     positive = positive[positive > 0]

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from gonio.measurement import Measurement
     from gonio.models import Model
 
-Array = NDArray[np.float64]
 PathLike = str | os.PathLike[str]
 
 PANELS = 6
@@ -244,7 +244,7 @@ def can_render() -> bool:
         return False
 
 
-def log_norm(values: Array) -> Normalize:
+def log_norm(values: Floats) -> Normalize:
     """From the lowest values, a few noisy ones left out, to the highest: half a decade to `DECADES`."""
     from matplotlib.colors import LogNorm
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gonio import tables
 from gonio.detectors import HemisphereGrid
@@ -28,14 +27,13 @@ from gonio.plots.style import (
     some_wavelengths,
 )
 from gonio.reporting.words import GREEN
+from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from gonio.comparison import Comparison
     from gonio.measurement import Measurement
-
-Array = NDArray[np.float64]
 
 LOBES = 160
 """At most so many lobes are kept: incidences x orders x channels."""
@@ -84,7 +82,7 @@ def _start(incidences: Sequence[Incidence], wavelengths: list[float]) -> dict[st
     }
 
 
-def _rounded(values: Array) -> list[float | None]:
+def _rounded(values: Floats) -> list[float | None]:
     """Numbers of few digits, None for those that are not known."""
     return [float(f"{x:.{DIGITS}g}") if math.isfinite(x) else None for x in np.ravel(values).tolist()]
 
@@ -114,7 +112,7 @@ def _lobes(
     }
 
 
-def _scattered(data: xr.Dataset, binned: Array) -> Array:
+def _scattered(data: xr.Dataset, binned: Floats) -> Floats:
     """Light around the vertices, (..., rows, columns), of values in bins (..., rings, sectors)."""
     *front, rings, sectors = binned.shape
     values = np.moveaxis(binned.reshape(-1, rings, sectors), 0, -1)

@@ -10,6 +10,7 @@ import numpy as np
 from gonio import tables
 from gonio.detectors import Klems
 from gonio.optics import Conductor, Dielectric, tabulated_materials
+from gonio.wording import percent
 
 if TYPE_CHECKING:
     from gonio.comparison import Comparison
@@ -40,8 +41,8 @@ def best(comparisons: Sequence[Comparison]) -> Comparison | None:
 
 
 def _percent(share: float) -> str:
-    value = 100.0 * float(share) if share > 1e-8 else 0.0
-    return f"{value:.2g}\u00a0%" if value < 99.5 else f"{value:.0f}\u00a0%"
+    """With a space that no line breaks at."""
+    return percent(share if share > 1e-8 else 0.0).replace(" ", "\u00a0")
 
 
 def _listed(words: Iterable[str]) -> str:

@@ -23,14 +23,13 @@ from gonio.measurement import ENERGY_BUDGET, Measurement
 from gonio.netcdf import load
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror, fresnel_conductor
 from gonio.tally import UNIT, UInt128
-from microsurfaces.mesh import SLOPE_AZIMUTHS, SLOPES, Floats, SlopeLaw
+from microsurfaces.arrays import Floats, Integers
+from microsurfaces.mesh import SLOPE_AZIMUTHS, SLOPES, SlopeLaw
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Status = Literal["passed", "warning", "failed", "not applicable"]
-Integers = NDArray[np.int64]
-
 LEVEL = 1e-3
 """Probability that a random check fails although nothing is wrong."""
 

@@ -26,9 +26,7 @@ from numpy.typing import NDArray
 
 from gonio.randomness import kernel
 from microsurfaces import HeightField
-
-Floats = NDArray[np.float64]
-Float32s = NDArray[np.float32]
+from microsurfaces.arrays import Float32s, Floats
 
 BLOCK = 2
 """Level of the quadtree, 4 x 4 cells, that `horizon_code` speaks of, and below which rays go from cell to cell."""

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from gonio.optics import Material
 from gonio.transport.accelerator import Accelerator
 from microsurfaces import HeightField, Mesh, Statistics
-
-Float32s = NDArray[np.float32]
+from microsurfaces.arrays import Float32s
 
 SEAM = 1e-3
 """Width of the seam in periods."""

@@ -46,8 +46,7 @@ from gonio.sphere import direction
 from gonio.tally import UNIT
 from gonio.transport.scene import Scene
 from microsurfaces import Cylinders, Gaussian, HeightField, Mesh, VGrooves
-
-Array = NDArray[np.float64]
+from microsurfaces.arrays import Floats
 
 LEVEL = 0.01
 """Probability that a case whose laws all hold has a row that says FAILS."""
@@ -213,7 +212,7 @@ def _judged(case: str, finding: _Finding, limit: float) -> Row:
     return Row(case, finding.quantity, finding.settings, *numbers, finding.statistic, score, limit, outcome)
 
 
-def _t(quantity: str, settings: str, blocks: Array, exact: float, floor: float = LOST) -> _Finding:
+def _t(quantity: str, settings: str, blocks: Floats, exact: float, floor: float = LOST) -> _Finding:
     """The mean of `blocks` (n,) against a number that is exact but for `floor`, by Student's t."""
     error = math.hypot(blocks.std(ddof=1) / math.sqrt(blocks.size), floor)
     return _Finding(quantity, settings, float(blocks.mean()), error, float(exact), "t", _student(blocks.size - 1))
@@ -233,7 +232,7 @@ def _bound(
     return _Finding(quantity, settings, float(measured), error, float(exact), "difference", lambda _: bound, holds)
 
 
-def _chi2(quantity: str, settings: str, blocks: Array, exact: Array, holds: bool = True) -> _Finding:
+def _chi2(quantity: str, settings: str, blocks: Floats, exact: Floats, holds: bool = True) -> _Finding:
     """The bins of `blocks` (n, bins) against exact shares (bins,), as one number: chi2 per bin.
 
     With nu = n - 1 degrees of freedom, t^2 of one bin has the mean nu / (nu - 2) and 2 (nu - 1) / (nu - 4) times the
@@ -261,7 +260,7 @@ def _chi2(quantity: str, settings: str, blocks: Array, exact: Array, holds: bool
     return _Finding(name, settings, value, scatter, 1.0, "chi2", limit, holds)
 
 
-def _pooled(blocks: Array, exact: Array, paths: float) -> tuple[Array, Array]:
+def _pooled(blocks: Floats, exact: Floats, paths: float) -> tuple[Floats, Floats]:
     """Neighbouring bins of `blocks` (n, bins) and `exact` (bins,) joined until ENOUGH of all `paths` are expected."""
     starts, expected = [0], 0.0
     for index, share in enumerate(exact.tolist()):
@@ -280,7 +279,7 @@ def _pooled(blocks: Array, exact: Array, paths: float) -> tuple[Array, Array]:
 class _Light(NamedTuple):
     """What was measured: shares of the launched light, and how."""
 
-    shares: Array
+    shares: Floats
     """(block, theta_i, phi_i, order, bin); order 0 is all of them and the last bin the whole hemisphere."""
     paths: int
     """Of all blocks, per incidence."""
@@ -290,7 +289,7 @@ class _Light(NamedTuple):
 def _measured(scenes: Callable[[int], Iterable[Scene]], goniometer: Goniometer, blocks: int, words: str) -> _Light:
     """Measure the scenes of every block; blocks side by side on all cores."""
 
-    def measure(block: int) -> tuple[Array, int]:
+    def measure(block: int) -> tuple[Floats, int]:
         each = [
             goniometer.measure(scene, seed=1000 * block + place, threads=1).counted
             for place, scene in enumerate(scenes(block))
@@ -322,7 +321,7 @@ def _specimen(
 class _Predicted(NamedTuple):
     """Shares of the light that a model of single scattering sends off: bins and hemisphere."""
 
-    bins: Array
+    bins: Floats
     total: float
 
 
@@ -335,7 +334,7 @@ def _predicted(model: CookTorrance | Microfacet | PoulinFournier, theta: float, 
 # --- Meshes -----------------------------------------------------------------------------------------------------------
 
 
-def _sheet(points: Array, period: tuple[float, float]) -> Mesh:
+def _sheet(points: Floats, period: tuple[float, float]) -> Mesh:
     """A mesh of points (rows, columns, 3), rows to the left of columns from above; what has no area is left out."""
     rows, columns = points.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -345,14 +344,14 @@ def _sheet(points: Array, period: tuple[float, float]) -> Mesh:
     return Mesh(mesh.vertices, faces[mesh.areas() > 0.0], period)
 
 
-def _extruded(x: Array, z: Array, y: Array) -> Mesh:
+def _extruded(x: Floats, z: Floats, y: Floats) -> Mesh:
     """A profile (columns,) drawn along `y` (rows,), which may be any increasing numbers."""
     points = np.empty((y.size, x.size, 3))
     points[..., 0], points[..., 1], points[..., 2] = x, y[:, None], z
     return _sheet(points, (float(x[-1] - x[0]), float(y[-1] - y[0])))
 
 
-def _grooved(tangents: Array, widths: Array) -> Mesh:
+def _grooved(tangents: Floats, widths: Floats) -> Mesh:
     """Symmetric grooves along y with coplanar upper edges, in a square tile."""
     edges = np.concatenate([[0.0], np.cumsum(widths)])
     x, z = np.empty(2 * widths.size + 1), np.zeros(2 * widths.size + 1)
@@ -432,7 +431,7 @@ def _beckmann(m: float, tiles: int, theta_i: tuple[float, ...] = INCIDENCES) -> 
     return _ensemble(lambda seed, count: (grooves.build(seed, k, count) for k in range(count)), tiles, theta_i)
 
 
-def _folded(bins: Array) -> Array:
+def _folded(bins: Floats) -> Floats:
     """Bins (..., bins) of an isotropic surface with both signs of the relative azimuth together."""
     rings, sectors = GRID.shape
     table = bins.reshape(*bins.shape[:-1], rings, sectors)
@@ -479,7 +478,7 @@ def _ggx_grooves(quick: bool) -> Iterator[_Finding]:
     """So they are with any other distribution of slopes: here GGX, cut at 100 alpha, beyond which 1e-4 of it lies."""
     for alpha in (0.5,) if quick else (0.2, 0.5, 1.0):
 
-        def slopes(u: Array, alpha: float = alpha) -> Array:
+        def slopes(u: Floats, alpha: float = alpha) -> Floats:
             return alpha * np.sqrt(u / (1.0 - u))
 
         light = _ensemble(_equal_widths(slopes), 8 if quick else 64)
@@ -506,7 +505,7 @@ def _impostors(quick: bool) -> Iterator[_Finding]:
             )
 
 
-def _equal_widths(slopes: Callable[[Array], Array]) -> Strips:
+def _equal_widths(slopes: Callable[[Floats], Floats]) -> Strips:
     """Tiles of grooves of one width whose tan is a function of a uniform number."""
     return lambda seed, tiles: (_grooved(slopes(u), np.full(u.shape, 2.0)) for u in _stratified(seed, tiles))
 
@@ -521,7 +520,7 @@ def _equal_depths(m: float) -> Strips:
     return strips
 
 
-def _area_weighted(m: float, u: Array) -> Array:
+def _area_weighted(m: float, u: Floats) -> Floats:
     """Slopes of Beckmann's distribution with the weight of the true facet area, sqrt(1 + tan^2), by inversion."""
     t = np.linspace(0.0, 6.0 * m, 20_001)
     density = t * np.sqrt(1.0 + t**2) * np.exp(-((t / m) ** 2))
@@ -529,7 +528,7 @@ def _area_weighted(m: float, u: Array) -> Array:
     return np.interp(u, cumulative / cumulative[-1], t)
 
 
-def _stratified(seed: int, tiles: int) -> Array:
+def _stratified(seed: int, tiles: int) -> Floats:
     """Uniform numbers (tiles, GROOVES), one in each equal share of (0, 1), in random order, none above 1 - 1e-4."""
     random = np.random.Generator(np.random.Philox(seed))
     ranks = random.permuted(np.arange(GROOVES * tiles).reshape(GROOVES, tiles), axis=1).T
@@ -537,7 +536,7 @@ def _stratified(seed: int, tiles: int) -> Array:
     return np.asarray(random.permuted(u, axis=1))
 
 
-def unfolded(slope: ArrayLike, psi: ArrayLike, hits: int) -> Array:
+def unfolded(slope: ArrayLike, psi: ArrayLike, hits: int) -> Floats:
     """Share (...) of the light that leaves a groove with mirror walls after exactly so many hits.
 
     `slope` is the tan of its facets, `psi` the projected angle of the light in the plane across, radians. Zipin's
@@ -552,7 +551,7 @@ def unfolded(slope: ArrayLike, psi: ArrayLike, hits: int) -> Array:
     """
     gamma, psi = np.pi / 2 - np.arctan(slope), np.asarray(psi, np.float64)
 
-    def at_most(k: int) -> Array:
+    def at_most(k: int) -> Floats:
         share = np.zeros(np.broadcast_shapes(gamma.shape, psi.shape))
         for side in (1.0, -1.0):
             least = np.cos(np.clip(gamma * (2 * k + 1) - np.pi / 2 - side * psi, 0.0, np.pi / 2))
@@ -561,7 +560,7 @@ def unfolded(slope: ArrayLike, psi: ArrayLike, hits: int) -> Array:
             share += np.maximum(np.sin(gamma - side * psi) - least, 0.0)
         return np.asarray(share / (2.0 * np.sin(gamma) * np.cos(psi)))
 
-    share: Array = at_most(hits) - at_most(hits - 1) if hits > 1 else at_most(1)
+    share: Floats = at_most(hits) - at_most(hits - 1) if hits > 1 else at_most(1)
     return share
 
 
@@ -653,7 +652,7 @@ class _Residuals(NamedTuple):
     """Of the chosen bins about their mean, without the noise."""
 
 
-def _residuals(shares: Array, exact: _Predicted, chosen: NDArray[np.bool_]) -> _Residuals:
+def _residuals(shares: Floats, exact: _Predicted, chosen: NDArray[np.bool_]) -> _Residuals:
     """Of `shares` (specimen, bin) with the hemisphere last."""
     albedo = 100.0 * (shares[:, -1] / exact.total - 1.0)
     bins = 100.0 * (shares[:, :-1][:, chosen] / exact.bins[chosen] - 1.0)
@@ -795,8 +794,8 @@ def _of_model(distribution: Beckmann | GGX, masking: Masking, theta: float, exac
 def _over_visible_normals(alpha: float, theta: float) -> float:
     """Albedo of single scattering by GGX mirrors with Smith's masking: the mean of G2 / G1 over the visible facets.
 
-    The mirror directions of the visible facets of a hemisphere, into which a GGX surface is stretched, fill a spherical
-    cap evenly (Dupuy and Benyoub 2023, doi:10.1111/cgf.14867).
+    The specular directions of the visible facets of a hemisphere, into which a GGX surface is stretched, fill a
+    spherical cap evenly (Dupuy and Benyoub 2023, doi:10.1111/cgf.14867).
     """
     u, v = np.meshgrid(*2 * [(np.arange(2000) + 0.5) / 2000])
     wi, stretch = direction(theta), np.array([alpha, alpha, 1.0])

@@ -9,11 +9,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Discriminator, Tag
 
+from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
 from microsurfaces.files import images, profilometry, x3p
 from microsurfaces.files.stored import MICROMETRES, Check, Stored, Unit, check_exists, check_map
 from microsurfaces.height_field import HeightField
-from microsurfaces.mesh import Floats, Mesh
+from microsurfaces.mesh import Mesh
 from microsurfaces.recipe import Positive, recipe
 
 _TAPER = 0.1  # of the map, at each of its four sides

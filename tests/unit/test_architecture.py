@@ -30,12 +30,13 @@ LEVELS = [
     {"gonio.detectors", "gonio.colour"},
     {"gonio.optics", "gonio.sphere", "gonio.tally"},
     {"gonio.randomness"},
-    {"gonio.toml_files"},
+    {"gonio.toml_files", "gonio.wording"},
     {"microsurfaces"},
     {"microsurfaces.random_fields", "microsurfaces.profiles", "microsurfaces.files"},
     {"microsurfaces.height_field"},
     {"microsurfaces.mesh"},
     {"microsurfaces.recipe", "microsurfaces.html_card", "microsurfaces.atomic_write"},
+    {"microsurfaces.arrays"},
 ]
 """From the command line down to the geometry; the modules of one level do not import each other."""
 

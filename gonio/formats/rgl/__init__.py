@@ -48,9 +48,10 @@ from typing import Any, BinaryIO, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.brdf import BRDF, NOMINAL, Floats
+from gonio.brdf import BRDF, NOMINAL
 from gonio.detectors import HemisphereGrid
-from gonio.sphere import Vectors, angles, direction, half_vector, reflect
+from gonio.sphere import angles, direction, half_vector, reflect
+from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.atomic_write import atomic_write
 
 Singles = NDArray[np.float32]
