@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gonio import formats, models, plots
+    from gonio.brdf import BRDF
     from gonio.campaign.dataset import open_campaign
     from gonio.comparison import Comparison, compare
     from gonio.detectors import Apertures, HemisphereGrid, Klems
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
     from gonio.fitting import fit
     from gonio.formats import export, load
     from gonio.goniometer import Goniometer
-    from gonio.measurement import Measurement
+    from gonio.measurement import Measurement, tabulated
     from gonio.models import CookTorrance, Lambert, Microfacet
     from gonio.netcdf import save
     from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
     from gonio.self_check import certify
+    from gonio.sphere import direction
     from gonio.toml_files import InputError
     from gonio.transport.scene import Scene
 
@@ -34,6 +36,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Apertures": "gonio.detectors",
+    "BRDF": "gonio.brdf",
     "InputError": "gonio.toml_files",
     "Conductor": "gonio.optics",
     "CookTorrance": "gonio.models",
@@ -56,11 +59,14 @@ _HOME = {
     "load": "gonio.formats",
     "open_campaign": "gonio.campaign.dataset",
     "save": "gonio.netcdf",
+    "tabulated": "gonio.measurement",
+    "direction": "gonio.sphere",
 }
 
 _MODULES = ("formats", "models", "plots")
 
 __all__ = [
+    "BRDF",
     "Apertures",
     "Comparison",
     "Conductor",
@@ -80,6 +86,7 @@ __all__ = [
     "__version__",
     "certify",
     "compare",
+    "direction",
     "export",
     "fit",
     "formats",
@@ -88,6 +95,7 @@ __all__ = [
     "open_campaign",
     "plots",
     "save",
+    "tabulated",
 ]
 
 

@@ -9,7 +9,7 @@ away. Values are radiances; `exposed` turns them into a picture.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -20,8 +20,9 @@ from gonio.colour import encoded
 from gonio.detectors import HemisphereGrid, patch_quadrature
 from gonio.interpolation import bracket, bracket_around
 from gonio.measurement import Measurement, tabulated
-from gonio.models import Model, SmithMultipleScattering
-from gonio.sphere import angles, direction, rotate_z
+from gonio.models import Model
+from gonio.models.averages import RandomWalk
+from gonio.sphere import angles, direction
 from microsurfaces.arrays import Floats, Vectors
 
 if TYPE_CHECKING:
@@ -76,34 +77,12 @@ def daylight(w: Vectors) -> Floats:
 
 def coloured(source: Measurement | Model | BRDF, wavelengths: Floats | None = None) -> BRDF:
     """`source` as a function with linear sRGB channels; a model needs the wavelengths in nm at which it is asked."""
-    if isinstance(source, Measurement):
-        source = BRDF.of(source)
-    elif not isinstance(source, BRDF):
-        nm = np.array([450.0, 550.0, 650.0]) if wavelengths is None else np.asarray(wavelengths, np.float64)
-        model = source
-        source = BRDF(lambda wi, wo: model.eval(wi, wo, nm), nm, np.arange(0.0, 90.0, 5.0))
-        if isinstance(model, SmithMultipleScattering):
-            source = _walked(model, nm, _looks_the_same(source, 0.05))
-        else:
-            source = replace(source, isotropic=_looks_the_same(source, 1e-6))
-    return source.in_basis("RGB")
-
-
-def _walked(model: SmithMultipleScattering, nm: Floats, isotropic: bool) -> BRDF:
-    """A model that takes random walks for every value: they are taken once, for the bins of a table."""
-    theta_i, phi_i = np.arange(0.0, 86.0, 5.0), np.zeros(1) if isotropic else np.arange(0.0, 360.0, 30.0)
-    shape = (*PATCH_GRID.shape, len(nm))
-    table = [[model.average(direction(t, p), PATCH_GRID, nm).reshape(shape) for p in phi_i] for t in theta_i]
-    flags = {"isotropic": int(isotropic)}
-    return BRDF.of(tabulated(np.array(table), PATCH_GRID, theta_i, phi_i, nm, attributes=flags))
-
-
-def _looks_the_same(lobes: BRDF, tolerance: float) -> bool:
-    """Whether turning the surface changes nothing, at a few angles."""
-    wi, wo = direction(30.0, 0.0), direction(40.0, 165.0)
-    turned = [[rotate_z(w, phi) for phi in (0.0, 30.0, 75.0, 90.0)] for w in (wi, wo)]
-    values = lobes.evaluate(*map(np.stack, turned))
-    return bool(np.allclose(values, values[0], rtol=tolerance))
+    brdf = BRDF.of(source, None if isinstance(source, Measurement | BRDF) else wavelengths)
+    if isinstance(source, RandomWalk):
+        # Walks are taken once, for the bins of a table, and not for every texel.
+        phi_i = np.zeros(1) if brdf.isotropic else np.arange(0.0, 360.0, 30.0)
+        brdf = BRDF.of(brdf.sampled(np.arange(0.0, 86.0, 5.0), phi_i, PATCH_GRID))
+    return brdf.in_basis("RGB")
 
 
 def sphere(

@@ -20,7 +20,7 @@ from gonio.detectors import DETECTOR, Detector, HemisphereGrid
 from gonio.html_drawing import in_plane, plane_of_incidence, thinned
 from gonio.interpolation import Extrapolation, Interpolation
 from gonio.optics import Material
-from gonio.sphere import angles
+from gonio.sphere import angles, as_directions
 from gonio.tally import MAX_PATHS, UNIT, UInt128
 from microsurfaces import Facets, Surface
 from microsurfaces.arrays import Floats
@@ -240,7 +240,7 @@ class Measurement:
         they are averages of `eval`. Raises ValueError outside the measured range, unless told to `extrapolate` (see
         `eval`).
         """
-        theta, phi = (float(a) for a in angles(wi))
+        theta, phi = (float(a) for a in angles(as_directions(wi, "wi")))
         nearest = self._incidence_at(theta, phi)
         if nearest is not None and detector == self.detector:
             values = self.dataset["brdf"].sel(order="all").values[nearest]
@@ -256,7 +256,7 @@ class Measurement:
         the data are isotropic; with `extrapolate="nearest"` the nearest measured incidence stands
         for those outside.
         """
-        return self._between(np.asarray(wi, np.float64), np.asarray(wo, np.float64), extrapolate)
+        return self._between(as_directions(wi, "wi"), as_directions(wo, "wo"), extrapolate)
 
     @functools.cached_property
     def _between(self) -> Interpolation:

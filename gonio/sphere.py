@@ -24,6 +24,16 @@ def direction(theta: ArrayLike, phi: ArrayLike = 0.0) -> Vectors:
     return np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1)
 
 
+def as_directions(w: ArrayLike, name: str) -> Vectors:
+    """`w` (..., 3) as float64 unit vectors; ValueError, with the `name` of the argument, if its last axis is not 3."""
+    w = np.asarray(w, np.float64)
+    if w.shape[-1:] != (3,):
+        raise ValueError(
+            f"{name} has shape {w.shape}: the last axis of directions must be 3, as in gonio.direction(theta, phi)"
+        )
+    return w
+
+
 def angles(w: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Polar angle in [0, 180] and azimuth in [0, 360), degrees, of unit vectors `w` (..., 3); phi is 0 at a pole."""
     x, y, z = np.moveaxis(np.asarray(w, np.float64), -1, 0)

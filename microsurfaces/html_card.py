@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import dataclasses
 import html
 import io
 from collections.abc import Mapping
@@ -41,9 +40,6 @@ def image(pixels: NDArray[np.uint8], words: str) -> str:
 
 
 def _text(value: object) -> str:
-    """Escaped, in one line, not too long; of a recipe what was said."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        said = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.repr}
-        value = f"{type(value).__name__}({', '.join(f'{k}={v!r}' for k, v in said.items() if v is not None)})"
+    """Escaped, in one line, not too long."""
     text = " ".join(str(value).split())
     return html.escape(text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…")

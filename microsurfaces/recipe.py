@@ -6,6 +6,7 @@ TOML: `kind`, the name of its class, says which member of a union a table is.
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import re
 import tomllib
@@ -17,7 +18,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 from pydantic.dataclasses import dataclass as validated_dataclass
 from pydantic.fields import FieldInfo
-from pydantic_core import ArgsKwargs, ErrorDetails
+from pydantic_core import ArgsKwargs, ErrorDetails, PydanticUndefined
 
 Class = TypeVar("Class", bound=type)
 
@@ -38,12 +39,21 @@ def recipe(cls: Class) -> Class:
     """Make `cls` a frozen, strictly validated dataclass with a literal `kind`, its own name.
 
     Lists and numpy arrays given for a field become tuples, numpy scalars become Python numbers; nothing else is
-    converted. Wrong fields raise `pydantic.ValidationError`; `sentences` turns it into one sentence a mistake.
+    converted. Wrong fields raise `pydantic.ValidationError`; `sentences` turns it into one sentence a mistake. Printed,
+    a recipe is the Python that makes it, without what is left at its default.
     """
+    cls.__repr__ = _as_python  # type: ignore[method-assign, assignment]
     cls.__annotations__["kind"] = Literal[cls.__name__]
     cls.kind = Field(default=cls.__name__, kw_only=True, repr=False)  # type: ignore[attr-defined]
     cls._plain_values = model_validator(mode="before")(classmethod(lambda _, data: _plain(data)))  # type: ignore[attr-defined, arg-type]
     return validated_dataclass(frozen=True, config=_CONFIG)(cls)  # type: ignore[return-value]
+
+
+def _as_python(recipe: Any) -> str:
+    said = {f.name: getattr(recipe, f.name) for f in dataclasses.fields(recipe) if f.repr}
+    defaults = {name: field.get_default(call_default_factory=True) for name, field in parameters(type(recipe)).items()}
+    changed = (f"{name}={value!r}" for name, value in said.items() if value != defaults.get(name, PydanticUndefined))
+    return f"{type(recipe).__name__}({', '.join(changed)})"
 
 
 def _plain(value: Any) -> Any:

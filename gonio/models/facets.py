@@ -12,12 +12,13 @@ from gonio.models.distributions import BECKMANN, REACH, Distribution, density, s
 from gonio.models.masking import CODES, Masking
 from gonio.optics import Mirror, Specular, fresnel
 from gonio.randomness import kernel
+from gonio.sphere import as_directions
 from microsurfaces.arrays import Floats, Vectors
 
 
 def above(wi: ArrayLike, wo: ArrayLike) -> NDArray[np.bool_]:
     """Where both directions (..., 3) are above the horizon, shape (...)."""
-    return (np.asarray(wi)[..., 2] > 0.0) & (np.asarray(wo)[..., 2] > 0.0)
+    return (as_directions(wi, "wi")[..., 2] > 0.0) & (as_directions(wo, "wo")[..., 2] > 0.0)
 
 
 def specular(
@@ -33,7 +34,7 @@ def specular(
     Facets of normals within dwm turn (wi . wm) D dwm of the light per area of the plane into the solid angle
     dwo = 4 (wo . wm) dwm; dividing by the irradiance's and the radiance's cosine leaves the formula, and its 4.
     """
-    wi, wo = np.asarray(wi, np.float64), np.asarray(wo, np.float64)
+    wi, wo = as_directions(wi, "wi"), as_directions(wo, "wo")
     shape = np.broadcast_shapes(wi.shape, wo.shape)[:-1]
     source, eye = (_rows(w, shape) for w in (wi, wo))
     value = np.empty((math.prod(shape), np.size(wavelengths)))

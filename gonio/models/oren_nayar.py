@@ -14,6 +14,7 @@ from gonio.detectors import Detector
 from gonio.models.averages import bin_average
 from gonio.models.facets import above
 from gonio.optics import Lambertian, Material
+from gonio.sphere import as_directions
 from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.recipe import Fraction, recipe
 
@@ -95,7 +96,7 @@ class OrenNayar:
 
     def eval(self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,)) -> Floats:
         """BRDF (..., W) in 1/sr, no cosine, of `wi` and `wo` (..., 3); 0 where a direction is not above the horizon."""
-        wi, wo = np.asarray(wi, np.float64), np.asarray(wo, np.float64)
+        wi, wo = as_directions(wi, "wi"), as_directions(wo, "wo")
         theta_i, theta_o = _theta(wi), _theta(wo)
         a, b = np.maximum(theta_i, theta_o), np.minimum(theta_i, theta_o)
         value = self._values(a, b, _cosine_of_azimuths(wi, wo))

@@ -87,6 +87,26 @@ def put(table: dict[str, Any], name: str, value: Any) -> None:
     table[last] = value
 
 
+def whole_name(table: Mapping[str, Any], name: str, value: Any) -> str:
+    """The dotted name of what is set in a model's table: `alpha` of its distribution, the kind that `masking` is.
+
+    A name that fits nothing, or several parts, stays as it is.
+    """
+    own = parameters(_kinds()[table["kind"]])
+    first = name.split(".")[0]
+    if first in own:
+        names_kind = name == first and isinstance(value, str) and value in members(own[first].annotation)
+        return f"{name}.kind" if names_kind else name
+    owners = [
+        part
+        for part, field in own.items()
+        for kinds in [members(field.annotation)]
+        for chosen in [kinds.get(table[part]["kind"]) if isinstance(table.get(part), dict) else None]
+        if any(first in parameters(kind) for kind in ([chosen] if chosen else kinds.values()))
+    ]
+    return f"{owners[0]}.{name}" if len(owners) == 1 else name
+
+
 def give_way(table: dict[str, Any], named: Mapping[str, Any]) -> None:
     """Make weights that must not exceed 1 together do so, those first that were not named; in place."""
     for pair in _SHARES:

@@ -19,7 +19,7 @@ from gonio.models.distributions import BECKMANN, REACH
 from gonio.models.masking import CODES, VCavity
 from gonio.models.microfacet import Microfacet
 from gonio.optics import Conductor, Dielectric, Lambertian, Material, Mirror
-from gonio.sphere import angles, rotate_z
+from gonio.sphere import angles, as_directions, rotate_z
 from microsurfaces import Cylinders
 from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.recipe import Fraction, Positive, recipe
@@ -149,7 +149,7 @@ class PoulinFournier:
                 f"PoulinFournier with local = {self.local!r} sends all light to a cone, a line of directions: it has "
                 "no value at a point; use average for the content of a detector's bins, or line_density."
             )
-        wi, wo = np.asarray(wi, np.float64), np.asarray(wo, np.float64)
+        wi, wo = as_directions(wi, "wi"), as_directions(wo, "wo")
         shape = np.broadcast_shapes(wi.shape, wo.shape)
         source, eye = (np.broadcast_to(w, shape).reshape(-1, 3) for w in (wi, wo))
         total = np.zeros((len(source), np.size(wavelengths)))

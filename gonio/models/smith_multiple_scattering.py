@@ -26,6 +26,7 @@ from gonio.models.masking import SmithCorrelated
 from gonio.models.microfacet import Microfacet
 from gonio.optics import Lambertian, Material, Mirror, Specular, fresnel
 from gonio.randomness import WORD, kernel, philox, uniform
+from gonio.sphere import as_directions
 from microsurfaces.arrays import Floats, Vectors
 from microsurfaces.recipe import recipe
 
@@ -122,7 +123,8 @@ class SmithMultipleScattering:
         self, wi: ArrayLike, wo: ArrayLike, wavelengths: ArrayLike = (550.0,), orders: int = 3
     ) -> Estimate:
         """BRDF (orders + 1, ..., W) in 1/sr: all light, then that of 1, 2 ... reflections, the last with all beyond."""
-        shape = np.broadcast_shapes(np.shape(wi), np.shape(wo))
+        wi, wo = as_directions(wi, "wi"), as_directions(wo, "wo")
+        shape = np.broadcast_shapes(wi.shape, wo.shape)
         source, eye = (np.ascontiguousarray(np.broadcast_to(w, shape), np.float64).reshape(-1, 3) for w in (wi, wo))
         lobes, (eta, k) = self.distribution.lobes(), _indices(self.material, wavelengths)
         wanted = (_checked(orders) + 1, len(source), np.size(wavelengths))

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from gonio.detectors import Klems
 from gonio.models import Model, matching
-from gonio.models.parameters import BOUNDS, give_way, put
+from gonio.models.parameters import BOUNDS, give_way, put, whole_name
 from gonio.optics import DIELECTRICS, Lambertian, Material
 from gonio.toml_files import InputError, kind_first, read_toml
 from microsurfaces.atomic_write import atomic_write
@@ -45,9 +45,11 @@ class Specimen:
     def described(self, text: str, to_fit: bool = False) -> Model:
         """The model of a text such as "CookTorrance", "cook-torrance m=0.3 k_d=0.1", "microfacet masking.kind=VCavity".
 
-        Names may be written with hyphens and in any case. What is not said is the specimen's: its material, and
-        roughness as measured on its facets. A model `to_fit` needs no more than a start: what the specimen does not
-        tell is put into the middle between the limits. Raises ValueError in one sentence for each mistake.
+        Names may be written with hyphens and in any case, parameters of a part without its name where only one part has
+        them, and kinds without the word: "microfacet distribution=GGX alpha=0.3 name=Au". What is not said is the
+        specimen's: its material, and roughness as measured on its facets. A model `to_fit` needs no more than a start:
+        what the specimen does not tell is put into the middle between the limits. Raises ValueError in one sentence for
+        each mistake.
         """
         name, *settings = _SETTING.split(text.strip())
         pairs = (setting.partition("=") for setting in settings)
@@ -59,6 +61,7 @@ class Specimen:
         settings = dict(_flat(settings))
         table = self._table(cls, bool(settings) or to_fit, to_fit)
         try:
+            settings = {whole_name(table, key, value): value for key, value in settings.items()}
             for key, value in settings.items():
                 put(table, key, value)
             give_way(table, settings)

@@ -114,7 +114,7 @@ def test_the_command_writes_pictures(gold, mitsuba, tmp_path, capsys):
 
 
 def test_spectra_are_turned_into_colours(mitsuba, tmp_path):
-    spectrum = gonio.formats.lobes.Lobes(
+    spectrum = gonio.BRDF(
         lambda wi, wo: GOLD.eval(wi, wo, [450.0, 550.0, 650.0]), np.array([450.0, 550.0, 650.0]), np.arange(0, 90, 10.0)
     )
     gonio.export(spectrum, tmp_path / "gold.bsdf", "rgl-spectral")

@@ -252,7 +252,7 @@ def test_what_nobody_counted_is_refused_in_a_sentence(specimens):
     for one, other in ((made, made), (made, specimens[0]), (specimens[0], made)):
         with pytest.raises(ValueError, match="comes from another program's file, without the sums"):
             one.merge(other)
-    with pytest.raises(ValueError, match="keeps no ledger"):
+    with pytest.raises(ValueError, match="keeps no energy budget"):
         made.energy_budget()
 
 

@@ -168,3 +168,26 @@ def test_a_fit_needs_the_material_only():
         UNKNOWN.described("cook-torrance", to_fit=True)
     with pytest.raises(ValueError, match="material is missing"):
         Specimen({"beckmann_alpha": 0.25}, Lambertian()).described("cook-torrance m=0.3")
+
+
+@pytest.mark.parametrize(
+    ("short", "long"),
+    [
+        ("microfacet alpha=0.3 name=Au", "microfacet distribution.alpha=0.3 material.name=Au"),
+        (
+            "microfacet distribution=GGX alpha=0.3 eta=1.5",
+            "microfacet distribution.kind=GGX distribution.alpha=0.3 material.eta=1.5",
+        ),
+        (
+            "poulin-fournier local=Mirror distance=3 floor_height=0",
+            "poulin-fournier local.kind=Mirror distance=3 floor_height=0",
+        ),
+        (
+            "smith-multiple-scattering alpha=0.4 name=Au",
+            "smith-multiple-scattering distribution.alpha=0.4 material.name=Au",
+        ),
+    ],
+)
+def test_parts_need_not_be_named_where_only_one_can_be_meant(short, long):
+    nothing = Specimen({}, None)
+    assert nothing.described(short) == nothing.described(long)
