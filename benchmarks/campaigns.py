@@ -86,7 +86,7 @@ def _overhead() -> tuple[str, str, str]:
 
     def measure() -> None:
         for experiment in campaign.experiments:
-            experiment.goniometer.measure(experiment.scene(), experiment.seed_of("light"))
+            experiment.goniometer.measure(experiment.scene(), experiment.light_seed())
 
     times = in_turn({"campaign": run, "measure": measure}, REPETITIONS)
     extra = (times["campaign"].median - times["measure"].median) / UNITS

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-import numpy as np
 import tomli_w
 from pydantic import Field, TypeAdapter, ValidationError, field_validator, model_validator
 
@@ -21,9 +20,10 @@ from gonio.self_check import certify
 from gonio.tally import MAX_PATHS
 from gonio.toml_files import InputError, kind_first, override_value, read_toml, resolve_paths
 from gonio.transport.scene import Scene
-from microsurfaces import HeightField, Mesh, Surface, VGrooves
+from microsurfaces import HeightField, Mesh, Surface
 from microsurfaces.html_card import html_card
 from microsurfaces.recipe import recipe, sentences
+from microsurfaces.seeds import derived_seed
 
 
 @recipe
@@ -128,10 +128,7 @@ class Experiment:
     def relief(self, realisation: int = 0) -> HeightField | Mesh:
         """Specimen number `realisation` of the surface. Raises `InputError` if it cannot be built."""
         try:
-            if isinstance(self.surface, VGrooves):
-                # The slopes of all tiles together follow the distribution: one seed, one tile each.
-                return self.surface.build(self.seed_of("surface"), strip=realisation, strips=self.realisations)
-            return self.surface.build(self.seed_of("surface", realisation))
+            return self.surface.build(self.seed, realisation, self.realisations)
         except (ValueError, OSError) as error:
             raise InputError(f"surface: {error}") from error
 
@@ -155,7 +152,7 @@ class Experiment:
         whole = _Whole(progress, self.realisations)
         for k in range(self.realisations):
             try:
-                part = self.goniometer.measure(self.scene(k), self.seed_of("light", k), threads, whole, replicates)
+                part = self.goniometer.measure(self.scene(k), self.light_seed(k), threads, whole, replicates)
             except KeyboardInterrupt:
                 if merged is None:
                     raise
@@ -184,15 +181,9 @@ class Experiment:
         certificate = {"certificate": certify(described).to_json()}
         return replace(described, attributes=described.attributes | certificate)
 
-    @property
-    def surface_seed(self) -> int:
-        """The seed that the first realisation of the surface is built with."""
-        return self.seed_of("surface")
-
-    def seed_of(self, purpose: str, realisation: int = 0) -> int:
-        """A 64-bit seed that depends on the experiment's seed, the purpose and the realisation only."""
-        entropy = (self.seed, realisation, *purpose.encode())
-        return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0])
+    def light_seed(self, realisation: int = 0) -> int:
+        """The seed of the light that falls on specimen number `realisation`."""
+        return derived_seed(self.seed, "light", realisation)
 
 
 @dataclass

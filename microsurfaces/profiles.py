@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from microsurfaces.arrays import Floats
 from microsurfaces.height_field import HeightField
 from microsurfaces.mesh import Mesh, SlopeLaw
 from microsurfaces.recipe import Positive, recipe
+from microsurfaces.seeds import derived_seed
 
 
 @recipe
@@ -27,8 +28,8 @@ class Flat:
     side: Positive = 100.0
     """Side of the square tile, µm; no result depends on it."""
 
-    def build(self, seed: int) -> HeightField:
-        """The plane, 2 x 2 nodes; the same for every seed."""
+    def build(self, seed: int, realisation: int = 0, realisations: int = 1) -> HeightField:
+        """The plane, 2 x 2 nodes; the same for every seed and realisation."""
         return HeightField(np.zeros((2, 2)), (self.side / 2, self.side / 2))
 
     def expected_slopes(self, azimuth: float, slopes: Floats) -> SlopeLaw:
@@ -102,8 +103,8 @@ class Cylinders:
         """Facets of half an arc."""
         return max(8, math.ceil(self.chords * self.edge_angle() / np.pi))
 
-    def build(self, seed: int) -> Mesh:
-        """One period, the same for every seed."""
+    def build(self, seed: int, realisation: int = 0, realisations: int = 1) -> Mesh:
+        """One period, the same for every seed and realisation."""
         edge = self.edge_angle()
         angles = np.linspace(0, edge, self._chords() + 1)
         flat = self.distance / 2 - math.sin(edge) > 1e-12  # else cusps: both arcs end in the very same line
@@ -135,8 +136,8 @@ class VGrooves:
 
     A feel for the numbers: light leaves a groove of angle a after at most ceil(180 / (180 - 2 a)) hits. A result for
     the ensemble needs many grooves, paths/500 at the very least, paths/100 for a strict test, and many small tiles are
-    better than one long strip: measure many realisations of 64 grooves. `build(seed, strip=k, strips=K)` for k in
-    range(K) stratifies the slopes of each tile and of all K tiles together.
+    better than one large one: measure many realisations of 64 grooves. `build(seed, k, K)` for k in range(K)
+    stratifies the slopes of each tile and of all K tiles together.
 
     References: K. E. Torrance and E. M. Sparrow, Theory for off-specular reflection from roughened surfaces,
     doi:10.1364/JOSA.57.001105; R. L. Cook and K. E. Torrance, A reflectance model for computer graphics,
@@ -152,6 +153,9 @@ class VGrooves:
     width: Positive = 2.0
     """Width of a groove, edge to edge, µm."""
 
+    stratified: ClassVar[bool] = True
+    """Whether a realisation depends on how many there are."""
+
     @model_validator(mode="after")
     def _one_slope(self) -> VGrooves:
         if (self.m is None) == (self.angle is None):
@@ -159,11 +163,13 @@ class VGrooves:
             raise ValueError(f"{found}: give either m (a distribution of slopes) or angle (one slope)")
         return self
 
-    def build(self, seed: int, strip: int = 0, strips: int = 1) -> Mesh:
-        """One tile; or tile number `strip` of `strips` whose slopes are stratified over all of them together."""
-        if not 0 <= strip < strips:
-            raise ValueError(f"strip = {strip}: expected 0 to {strips - 1}, there are {strips} strips")
-        slopes = self._slopes(seed, strips)[strip]
+    def build(self, seed: int, realisation: int = 0, realisations: int = 1) -> Mesh:
+        """Tile number `realisation` of `realisations` whose slopes are stratified over all of them together."""
+        if not 0 <= realisation < realisations:
+            raise ValueError(
+                f"realisation = {realisation}: expected 0 to {realisations - 1}, there are {realisations} of them"
+            )
+        slopes = self._slopes(seed, realisations)[realisation]
         count = len(slopes)
         profile = np.zeros((2 * count + 1, 2))
         profile[:, 0] = (np.arange(2 * count + 1) - count) / 2
@@ -187,17 +193,17 @@ class VGrooves:
 
         return _both_ways(within, azimuth, slopes, 1 / (4 * (self.grooves or 64)), 0.0)
 
-    def _slopes(self, seed: int, strips: int) -> Floats:
-        """tan of the facet angle of every groove of every strip, (strips, grooves).
+    def _slopes(self, seed: int, tiles: int) -> Floats:
+        """tan of the facet angle of every groove of every tile, (tiles, grooves).
 
-        The distribution is cut into as many equal shares as there are grooves; each strip has one slope of each share,
-        and the slopes that the strips have of one share are stratified in turn.
+        The distribution is cut into as many equal shares as there are grooves; each tile has one slope of each share,
+        and the slopes that the tiles have of one share are stratified in turn.
         """
         if self.m is None:
-            return np.full((strips, self.grooves or 1), math.tan(math.radians(self.angle or 0.0)))
-        random = np.random.Generator(np.random.Philox(seed))
+            return np.full((tiles, self.grooves or 1), math.tan(math.radians(self.angle or 0.0)))
+        random = np.random.Generator(np.random.Philox(derived_seed(seed, "surface")))
         count = self.grooves or 64
-        ranks = random.permuted(np.arange(count * strips).reshape(count, strips), axis=1).T
+        ranks = random.permuted(np.arange(count * tiles).reshape(count, tiles), axis=1).T
         u = np.minimum((ranks + random.random(ranks.shape)) / ranks.size, 1 - 1e-4)
         return random.permuted(self.m * np.sqrt(-np.log1p(-u)), axis=1)
 

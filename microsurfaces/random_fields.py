@@ -12,6 +12,7 @@ from microsurfaces.arrays import Floats
 from microsurfaces.height_field import HeightField
 from microsurfaces.mesh import SlopeLaw
 from microsurfaces.recipe import Positive, recipe
+from microsurfaces.seeds import derived_seed
 
 
 @recipe
@@ -89,9 +90,10 @@ class Gaussian:
                 total += np.exp(-(((c * u + s * v) / tau_x) ** 2) - ((c * v - s * u) / tau_y) ** 2)
         return sigma**2 * total
 
-    def build(self, seed: int) -> HeightField:
-        """The surface of this seed: white noise filtered by the root of the covariance's spectrum."""
-        noise = np.random.Generator(np.random.Philox(seed)).standard_normal((self.samples, self.samples))
+    def build(self, seed: int, realisation: int = 0, realisations: int = 1) -> HeightField:
+        """Specimen number `realisation` of this seed: white noise filtered by the root of the covariance's spectrum."""
+        random = np.random.Generator(np.random.Philox(derived_seed(seed, "surface", realisation)))
+        noise = random.standard_normal((self.samples, self.samples))
         spectrum = np.fft.rfft2(self.covariance()).real
         np.maximum(spectrum, 0.0, out=spectrum)
         heights = np.fft.irfft2(np.fft.rfft2(noise) * np.sqrt(spectrum), s=noise.shape)

@@ -25,7 +25,6 @@ from gonio.measurement import Measurement
 from gonio.tally import Tally, UInt128
 from gonio.toml_files import InputError
 from gonio.transport.scene import Scene
-from microsurfaces import VGrooves
 
 FORMAT = 2
 """Of a unit's file and of the manifest."""
@@ -105,8 +104,7 @@ def _relief(experiment: Experiment, realisation: int) -> dict[str, Any]:
         "surface": _by_content(_tables(experiment)["surface"]),
         "seed": experiment.seed,
         "realisation": realisation,
-        # The slopes of V-grooves are stratified over all realisations.
-        "strips": experiment.realisations if isinstance(experiment.surface, VGrooves) else None,
+        "realisations": experiment.realisations if getattr(experiment.surface, "stratified", False) else None,
     }
 
 
@@ -222,7 +220,7 @@ class UnitRunner:
         replicates = None if unit.replicates is None else range(*unit.replicates)
         if unit.pilot is not None:
             replicates = range(self._replicates(unit, experiment))
-        scene, seed = self._scene(unit, experiment), experiment.seed_of("light", unit.realisation)
+        scene, seed = self._scene(unit, experiment), experiment.light_seed(unit.realisation)
         try:
             tally = goniometer.tally(scene, seed, incidence, self.threads, progress, replicates)
         except ValueError as error:

@@ -184,7 +184,7 @@ def _pictures(
             assert experiment is not None
             if extra.pop("show", False):
                 open_window(experiment.relief())
-            yield kind, partial(draw, experiment.surface, seed=experiment.surface_seed, **extra)
+            yield kind, partial(draw, experiment.surface, seed=experiment.seed, **extra)
             continue
         assert measurement is not None
         if kind == "difference":

@@ -59,8 +59,8 @@ class HeightFieldFile:
     scale: Positive | None = None
     """Height of one stored step, in `unit`: needed for integers, 1 for floats if not given."""
 
-    def build(self, seed: int) -> HeightField:
-        """The map, the same for every seed.
+    def build(self, seed: int, realisation: int = 0, realisations: int = 1) -> HeightField:
+        """The map, the same for every seed and realisation.
 
         Raises ValueError with one sentence for a file that is missing, damaged, of another type, empty or has gaps.
         """
@@ -129,8 +129,8 @@ class MeshFile:
     unit: Unit
     """Unit of the coordinates in the file: nm, um, mm or m."""
 
-    def build(self, seed: int) -> Mesh:
-        """The mesh, the same for every seed.
+    def build(self, seed: int, realisation: int = 0, realisations: int = 1) -> Mesh:
+        """The mesh, the same for every seed and realisation.
 
         Raises ValueError with one sentence for a file that is missing or damaged, and for a mesh that is not sound.
         """

@@ -35,7 +35,7 @@ LEVELS = [
     {"microsurfaces.random_fields", "microsurfaces.profiles", "microsurfaces.files"},
     {"microsurfaces.height_field"},
     {"microsurfaces.mesh"},
-    {"microsurfaces.recipe", "microsurfaces.html_card", "microsurfaces.atomic_write"},
+    {"microsurfaces.recipe", "microsurfaces.html_card", "microsurfaces.atomic_write", "microsurfaces.seeds"},
     {"microsurfaces.arrays"},
 ]
 """From the command line down to the geometry; the modules of one level do not import each other."""

@@ -155,16 +155,16 @@ def test_v_groove_slopes_are_stratified_beckmann_slopes(m):
 
 def test_strips_are_stratified_each_and_together():
     surface = VGrooves(m=0.5, grooves=20)
-    strips = [facet_slopes(surface.build(4, strip=k, strips=25)) for k in range(25)]
-    shares = [1 - np.exp(-((s / 0.5) ** 2)) for s in strips]
+    tiles = [facet_slopes(surface.build(4, k, 25)) for k in range(25)]
+    shares = [1 - np.exp(-((s / 0.5) ** 2)) for s in tiles]
     assert all(sorted(np.floor(s * 20).astype(int)) == list(range(20)) for s in shares)
     assert sorted(np.floor(np.concatenate(shares) * 500).astype(int)) == list(range(500))
-    # No strip is steeper than another by design: within its shares each takes any of the 25 places.
+    # No tile is steeper than another by design: within its shares each takes any of the 25 places.
     places = np.floor(np.array(shares) * 500) % 25
     error = np.sqrt((25**2 - 1) / 12 / 20)
     assert np.abs(places.mean(axis=1) - 12).max() < 4.5 * error  # 25 means, 2e-4 in all
-    with pytest.raises(ValueError, match="strip = 25: expected 0 to 24"):
-        surface.build(4, strip=25, strips=25)
+    with pytest.raises(ValueError, match="realisation = 25: expected 0 to 24"):
+        surface.build(4, 25, 25)
 
 
 def test_a_fixed_angle_is_the_angle_of_every_facet():
