@@ -7,7 +7,7 @@ ASTM E1392 and E2387 standardise how to measure; the file that goes by their nam
     0.5235987755982988,0,0.017453292519943295,3.141592653589793,0.31,0.29
 
 Angles are in radians, of directions away from the surface, azimuths counter-clockwise seen from above: light from phi_i
-has its mirror direction at phi_i + π. Values are f_r in 1/sr, no cosine; columns are wavelengths, or R, G, B (linear
+has its specular direction at phi_i + π. Values are f_r in 1/sr, no cosine; columns are wavelengths, or R, G, B (linear
 sRGB), or X, Y, Z, or one of any other name. Rows come in any order, and directions need not form a grid. Opened by
 BSDFProcessor and every spreadsheet.
 
@@ -34,7 +34,10 @@ import numpy as np
 
 from gonio.brdf import BRDF, NOMINAL, Basis
 from gonio.detectors import HemisphereGrid
-from gonio.formats.scattered import Table, decimal, degrees, detector_of, frame, incidences, title_of
+from gonio.formats.scattered.bins import detector_of, incidences
+from gonio.formats.scattered.rows import degrees
+from gonio.formats.scattered.table import Table
+from gonio.formats.text import frame, radians, title_of
 from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
 
@@ -47,27 +50,27 @@ LONGEST_HEADER = 1 << 24
 """Bytes before the first row."""
 
 
-def write(lobes: BRDF, path: Path) -> Sequence[str]:
+def write(brdf: BRDF, path: Path) -> Sequence[str]:
     """Write every bin of every measured incidence whose value is known.
 
     Raises OSError where the file cannot be written.
     """
-    measurement = lobes.measured()
+    measurement = brdf.measured()
     data = measurement.dataset
-    names = lobes.channels
-    known = [np.isfinite(brdf).all(axis=-1) for _, _, brdf, _ in incidences(measurement)]
+    names = brdf.channels
+    known = [np.isfinite(values).all(axis=-1) for _, _, values, _ in incidences(measurement)]
     rows, bins = sum(int(here.sum()) for here in known), sum(here.size for here in known)
     with atomic_write(path) as scratch, scratch.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(f"TITLE {_plain(lobes.title)}\nSOURCE gonio\n")
-        file.write(f"SYMMETRY {'isotropic' if lobes.isotropic else 'anisotropic'}\n")
+        file.write(f"TITLE {_plain(brdf.title)}\nSOURCE gonio\n")
+        file.write(f"SYMMETRY {'isotropic' if brdf.isotropic else 'anisotropic'}\n")
         file.write(f"DETECTOR {measurement.attributes['detector']}\n")
         file.write(f"NUM_POINTS {rows}\nVARS {','.join((*ANGLES, *names))}\n")
-        for (theta, phi, brdf, _), here in zip(incidences(measurement), known, strict=True):
+        for (theta, phi, values, _), here in zip(incidences(measurement), known, strict=True):
             places = _places(theta, phi, data["theta_o"].values, data["dphi"].values)
             kept = itertools.compress(places, here.ravel().tolist())
-            columns = (map(repr, column) for column in brdf[here].T.tolist())
+            columns = (map(repr, column) for column in values[here].T.tolist())
             file.writelines(f"{','.join(row)}\n" for row in zip(kept, *columns, strict=True))
-    return _notes(lobes, bins - rows, bins)
+    return _notes(brdf, bins - rows, bins)
 
 
 def _plain(text: str) -> str:
@@ -77,25 +80,21 @@ def _plain(text: str) -> str:
 
 def _places(theta: float, phi: float, rings: Floats, sectors: Floats) -> Iterator[str]:
     """The angles of an incidence's bins, as text."""
-    light = f"{_radians(theta)},{_radians(phi)}"
-    polar = [_radians(t) for t in rings]
-    around = [_radians((phi + d) % 360) for d in sectors]
+    light = f"{radians(theta)},{radians(phi)}"
+    polar = [radians(t) for t in rings]
+    around = [radians((phi + d) % 360) for d in sectors]
     return (f"{light},{t},{p}" for t, p in itertools.product(polar, around))
 
 
-def _radians(angle: float) -> str:
-    return decimal(float(np.radians(angle)))
-
-
-def _notes(lobes: BRDF, missing: int, bins: int) -> Sequence[str]:
+def _notes(brdf: BRDF, missing: int, bins: int) -> Sequence[str]:
     notes = []
     if missing:
         notes.append(f"nothing is known of {missing / bins:.1%} of the bins: they have no row")
-    if not lobes.isotropic and len(lobes.phi_i) == 1:
+    if not brdf.isotropic and len(brdf.phi_i) == 1:
         notes.append(
             "one azimuth of the light is known of an anisotropic specimen; programs will take it for isotropic"
         )
-    if lobes.measured().dataset["brdf_standard_error"].notnull().any():
+    if brdf.measured().dataset["brdf_standard_error"].notnull().any():
         notes.append("the format has no place for standard errors")
     return notes
 

@@ -3,7 +3,7 @@
 `{"metadata": {...}, "data": {...}}`. The data are flat lists of equal length, `{"unit": ..., "values": [...]}`:
 `theta_i`, `phi_i`, `theta_r`, `phi_r`, `wavelength_i`, `BRDF` and `uBRDF`, one entry a bin and wavelength. Directions
 point away from the surface (Nicodemus), azimuths run counter-clockwise seen from above, so light from phi_i has its
-mirror direction at phi_i + 180 degrees. Values are in 1/sr, no cosine. BiRDview draws it; about 80 bytes a value.
+specular direction at phi_i + 180 degrees. Values are in 1/sr, no cosine. BiRDview draws it; about 80 bytes a value.
 
 **Written.** Angles in degrees, wavelengths in nm, `uBRDF` the standard error (k = 1) in 1/sr if it is known of every
 value. Colours, which are no wavelengths, go to `adhoc_variables.channel`. The metadata that the format demands and that
@@ -12,7 +12,7 @@ and the bins whose averages the values are, are in `metadata.adhoc_section`. Wha
 
 **Read.** Degrees or radians, nm or μm, `uBRDF` in 1/sr or %, or the single `uncertainty` of `BRDF`. Values for several
 polarisations of the light are averaged; those behind an analyser (`polarization_r`) are refused. Directions need not
-form a grid: see `gonio.formats.table`.
+form a grid: see `gonio.formats.scattered`.
 
 D. Lanevski et al. (2022); EMPIR projects 16NRM08 BiRD and 18SIB03 BxDiff; schema and example at
 github.com/BiRD-project/BiRD_view.
@@ -34,7 +34,10 @@ from numpy.typing import NDArray
 from gonio import __version__
 from gonio.brdf import BRDF, NOMINAL
 from gonio.formats import json_arrays
-from gonio.formats.scattered import Table, decimal, degrees, detector_of, incidences, title_of
+from gonio.formats.scattered.bins import detector_of, incidences
+from gonio.formats.scattered.rows import degrees
+from gonio.formats.scattered.table import Table
+from gonio.formats.text import decimal, title_of
 from gonio.measurement import Measurement
 from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
@@ -42,9 +45,10 @@ from microsurfaces.atomic_write import atomic_write
 SCHEMA = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json"
 
 UNITS = {
-    "theta_i": "deg", "phi_i": "deg", "theta_r": "deg", "phi_r": "deg", "wavelength_i": "nm", "BRDF": "1/sr",
-    "uBRDF": "1/sr",
-}  # fmt: skip
+    **dict.fromkeys(("theta_i", "phi_i", "theta_r", "phi_r"), "deg"),
+    "wavelength_i": "nm",
+    **dict.fromkeys(("BRDF", "uBRDF"), "1/sr"),
+}
 """Of what is written, in this order."""
 
 NOT_KNOWN = "NA"
@@ -54,18 +58,18 @@ METHODS = ("simulation", "measurement")
 ADDRESS = ("country", "city", "street", "building_nr", "postal_code")
 
 
-def write(lobes: BRDF, path: Path) -> Sequence[str]:
+def write(brdf: BRDF, path: Path) -> Sequence[str]:
     """Write every bin of every measured incidence whose value is known.
 
     Raises OSError where the file cannot be written.
     """
-    measurement = lobes.measured()
-    columns, notes = _columns(lobes, measurement)
+    measurement = brdf.measured()
+    columns, notes = _columns(brdf, measurement)
     values = [_values(name, {"unit": unit}, columns[name]) for name, unit in UNITS.items() if name in columns]
     if "channel" in columns:
-        about = {"description": f"{lobes.basis} under D65, CIE 1931 2° observer", "unit": "", "type": "string"}
+        about = {"description": f"{brdf.basis} under D65, CIE 1931 2° observer", "unit": "", "type": "string"}
         values.append(f'"adhoc_variables": {{{_values("channel", about, columns["channel"])}}}')
-    metadata = json.dumps(_metadata(lobes, measurement), indent=1, ensure_ascii=False, allow_nan=False)
+    metadata = json.dumps(_metadata(brdf, measurement), indent=1, ensure_ascii=False, allow_nan=False)
     with atomic_write(path) as scratch:
         text = '{{"metadata": {},\n"data": {{\n{}\n}}}}\n'.format(metadata, ",\n".join(values))
         scratch.write_text(text, encoding="utf-8", newline="\n")
@@ -77,20 +81,20 @@ def _values(name: str, about: Mapping[str, str], values: Sequence[str]) -> str:
     return f'"{name}": {head}, "values": [{",".join(values)}]}}'
 
 
-def _columns(lobes: BRDF, measurement: Measurement) -> tuple[Mapping[str, Sequence[str]], Sequence[str]]:
+def _columns(brdf: BRDF, measurement: Measurement) -> tuple[Mapping[str, Sequence[str]], Sequence[str]]:
     """Every list of the file as pieces of text, and what had to be bent."""
     data = measurement.dataset
     known = data["brdf"].sel(order="all").notnull()
     errors = bool(data["brdf_standard_error"].sel(order="all").notnull().where(known, True).all())
-    axes = {"theta_r": data["theta_o"].values, "wavelength_i": lobes.wavelengths}
+    axes = {"theta_r": data["theta_o"].values, "wavelength_i": brdf.wavelengths}
     words: dict[str, NDArray[np.object_]] = {name: _words(map(decimal, axis)) for name, axis in axes.items()}
-    if lobes.basis != "spectrum":
-        words["channel"] = _words(json.dumps(name) for name in lobes.channels)
+    if brdf.basis != "spectrum":
+        words["channel"] = _words(json.dumps(name) for name in brdf.channels)
         del words["wavelength_i"]
     columns: dict[str, list[str]] = {name: [] for name in (*UNITS, "channel")}
     dark = bins = 0
-    for theta, phi, brdf, error in incidences(measurement):
-        here = np.isfinite(brdf)
+    for theta, phi, values, error in incidences(measurement):
+        here = np.isfinite(values)
         words["phi_r"] = _words(decimal((phi + d) % 360) for d in data["dphi"].values)
         for name, axis in (("theta_r", 0), ("phi_r", 1), ("wavelength_i", 2), ("channel", 2)):
             if name in words:
@@ -99,12 +103,12 @@ def _columns(lobes: BRDF, measurement: Measurement) -> tuple[Mapping[str, Sequen
         count = int(here.sum())
         for name, angle in (("theta_i", theta), ("phi_i", phi)):
             columns[name].append(",".join([decimal(angle)] * count))
-        columns["BRDF"].append(_numbers(np.maximum(brdf[here], 0.0)))
+        columns["BRDF"].append(_numbers(np.maximum(values[here], 0.0)))
         if errors:
             columns["uBRDF"].append(_numbers(error[here]))
-        dark, bins = dark + int((brdf[here] < 0).sum()), bins + count
+        dark, bins = dark + int((values[here] < 0).sum()), bins + count
     missing = int(known.size) - bins
-    return {name: pieces for name, pieces in columns.items() if pieces}, _notes(lobes, missing, dark, bins)
+    return {name: pieces for name, pieces in columns.items() if pieces}, _notes(brdf, missing, dark, bins)
 
 
 def _words(texts: Any) -> NDArray[np.object_]:
@@ -116,23 +120,23 @@ def _numbers(values: Floats) -> str:
     return ",".join(map(repr, values.tolist()))
 
 
-def _notes(lobes: BRDF, missing: int, dark: int, bins: int) -> Sequence[str]:
+def _notes(brdf: BRDF, missing: int, dark: int, bins: int) -> Sequence[str]:
     notes = []
     if missing:
         notes.append(f"nothing is known of {missing / (missing + bins):.1%} of the values: they have no entry")
     if dark:
         notes.append(f"{dark / bins:.1%} of the values were negative: the format demands 0")
-    if not lobes.isotropic and len(lobes.phi_i) == 1:
+    if not brdf.isotropic and len(brdf.phi_i) == 1:
         notes.append("one azimuth of the light is known of an anisotropic specimen; sample.properties_symmetry says so")
     notes.append("organization, address and contact are unknown (NA): fill them in before it is published")
     return notes
 
 
-def _metadata(lobes: BRDF, measurement: Measurement) -> dict[str, Any]:
+def _metadata(brdf: BRDF, measurement: Measurement) -> dict[str, Any]:
     """What is known of the measurement, where the schema has a place for it."""
     values = measurement.dataset["brdf"].values
     digest = hashlib.blake2b(np.ascontiguousarray(values).tobytes(), digest_size=16).digest()
-    ours, method = "origin" not in lobes.attributes, lobes.attributes.get("method")
+    ours, method = "origin" not in brdf.attributes, brdf.attributes.get("method")
     return {
         "schema": SCHEMA,
         "id": f"urn:uuid:{uuid.UUID(bytes=digest, version=5)}",
@@ -144,22 +148,22 @@ def _metadata(lobes: BRDF, measurement: Measurement) -> dict[str, Any]:
             "email": "NA@example.invalid",
             "contact_person": NOT_KNOWN,
         },
-        "description": title_of(lobes.title),
+        "description": title_of(brdf.title),
         "method": method if method in METHODS else "simulation" if ours else "measurement",
         "instrumentation": NOT_KNOWN,
         "software": {"name": "gonio", "version": __version__},
         "sample": {
-            "name": title_of(lobes.title),
+            "name": title_of(brdf.title),
             "type": NOT_KNOWN,
             "dimensions": {},
             "shape": NOT_KNOWN,
             "zero_azimuth_location": "the x axis",
-            "properties_symmetry": "isotropic" if lobes.isotropic else "anisotropic",
+            "properties_symmetry": "isotropic" if brdf.isotropic else "anisotropic",
         },
         "environment": NOT_KNOWN,
         "adhoc_section": {
             "detector": json.loads(measurement.attributes["detector"]),
-            "provenance": {key: str(value) for key, value in lobes.attributes.items()},
+            "provenance": {key: str(value) for key, value in brdf.attributes.items()},
         },
     }
 
@@ -185,22 +189,30 @@ def read(path: Path) -> BRDF:
 
 def _table(metadata: Mapping[str, Any], data: Mapping[str, Any], name: str) -> Table:
     _refuse_analysers(data)
-    brdf = _list(data["BRDF"])
+    values = _list(data["BRDF"])
     theta_i, phi_i, theta_r, phi_r = (_angles(data[key]) for key in ("theta_i", "phi_i", "theta_r", "phi_r"))
-    wavelength, basis = _wavelengths(data, len(brdf))
+    wavelength, basis = _wavelengths(data, len(values))
     columns = (theta_i, phi_i, theta_r, phi_r, wavelength)
-    if any(column.shape != brdf.shape for column in columns):
-        raise ValueError(f"its lists have {', '.join(str(len(c)) for c in columns)} entries, expected {len(brdf)} each")
+    if any(column.shape != values.shape for column in columns):
+        raise ValueError(
+            f"its lists have {', '.join(str(len(c)) for c in columns)} entries, expected {len(values)} each"
+        )
     adhoc = metadata.get("adhoc_section")
     ours = adhoc if isinstance(adhoc, dict) else {}
     sample = metadata.get("sample")
     symmetry = sample.get("properties_symmetry") if isinstance(sample, dict) else None
     table = Table.of_rows(
-        theta_i, phi_i, theta_r, phi_r - phi_i, wavelength, brdf, _errors(data, brdf),
+        theta_i,
+        phi_i,
+        theta_r,
+        phi_r - phi_i,
+        wavelength,
+        values,
+        _errors(data, values),
         isotropic={"isotropic": True, "anisotropic": False}.get(str(symmetry)),
         detector=detector_of(ours.get("detector")),
         attributes=_attributes(metadata, ours, name),
-    )  # fmt: skip
+    )
     return table.in_colours(basis)
 
 
@@ -243,18 +255,18 @@ def _wavelengths(data: Mapping[str, Any], count: int) -> tuple[Floats, str]:
     return np.full(count, NOMINAL["Y"][0]), "Y"
 
 
-def _errors(data: Mapping[str, Any], brdf: Floats) -> Floats | None:
-    """Standard errors in 1/sr; None if the file has none."""
+def _errors(data: Mapping[str, Any], values: Floats) -> Floats | None:
+    """Standard errors of `values` in 1/sr; None if the file has none."""
     if "uBRDF" in data:
-        values, unit = _list(data["uBRDF"]), data["uBRDF"]["unit"]
-        if values.shape != brdf.shape:
-            raise ValueError(f"its uBRDF has {len(values)} entries, expected {len(brdf)}")
+        errors, unit = _list(data["uBRDF"]), data["uBRDF"]["unit"]
+        if errors.shape != values.shape:
+            raise ValueError(f"its uBRDF has {len(errors)} entries, expected {len(values)}")
     elif "uncertainty" in data["BRDF"]:
         single = data["BRDF"]["uncertainty"]
-        values, unit = np.full(len(brdf), float(single["value"])), single["unit"]
+        errors, unit = np.full(len(values), float(single["value"])), single["unit"]
     else:
         return None
-    return values / 100 * brdf if unit == "%" else values
+    return errors / 100 * values if unit == "%" else errors
 
 
 def _attributes(metadata: Mapping[str, Any], ours: Mapping[str, Any], name: str) -> dict[str, Any]:

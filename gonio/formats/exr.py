@@ -1,9 +1,9 @@
 """OpenEXR images: one per incidence, as whole bins (latitude and longitude) or drawn on an equal-area disc.
 
-**Bins.** Rows are theta_o from the pole to the horizon, columns dphi from -180 degrees upwards: the lamp's side is in
-the middle and the mirror's at the left edge. A texel is the average over its bin, so nothing is interpolated and no
-texel is lost. The values are the BRDF of all orders together (1/sr, no cosine); where errors are known, a second image
-of the same layout holds the standard error.
+**Bins.** Rows are theta_o from the pole to the horizon, columns dphi from -180 degrees upwards: the source side is
+in the middle and the specular side at the left edge. A texel is the average over its bin, so nothing is interpolated
+and no texel is lost. The values are the BRDF of all orders together (1/sr, no cosine); where errors are known, a second
+image of the same layout holds the standard error.
 
 Spectra have a channel per wavelength, in the spectral layout: `T.550nm`, with a decimal comma where the wavelength is
 no whole number, and `spectralLayoutVersion` 1.0 in the header (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for
@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from gonio.brdf import BRDF
 from gonio.detectors import HemisphereGrid
+from gonio.formats.text import decimal, padded
 from gonio.measurement import tabulated
 from gonio.sphere import angles, direction, rotate_z
 from microsurfaces.arrays import Floats, Vectors
@@ -43,8 +44,8 @@ QUANTITIES = {
 COMMENTS = {
     "bins": (
         "rows: theta_o from 0 (normal) to 90 degrees; columns: dphi = phi_o - phi_i from -180 degrees upwards, "
-        "counter-clockwise seen from above; 0 is the lamp's side, 180 the mirror's. Texels are whole bins; centres, "
-        "edges and projected solid angles are in the attribute gonio.json."
+        "counter-clockwise seen from above; 0 is the source side, 180 the specular side. Texels are whole bins; "
+        "centres, edges and projected solid angles are in the attribute gonio.json."
     ),
     "disc": (
         "Lambert azimuthal equal-area disc seen from above: phi_o = 0 to the right, 90 upwards, theta_o = 90 degrees "
@@ -58,7 +59,7 @@ LARGEST = 1 << 30
 """Bytes that a file may hold at most, unpacked."""
 
 
-def write(lobes: BRDF, path: Path, colour: bool = False, layout: Literal["bins", "disc"] = "bins") -> Sequence[str]:
+def write(brdf: BRDF, path: Path, colour: bool = False, layout: Literal["bins", "disc"] = "bins") -> Sequence[str]:
     """Write the BRDF, and its standard error where it is known, of every measured incidence to `path`.
 
     Parts are named `theta_i030.0_phi_i000.0` and `theta_i030.0_phi_i000.0_standard_error`, float32, 1/sr; the string
@@ -68,15 +69,15 @@ def write(lobes: BRDF, path: Path, colour: bool = False, layout: Literal["bins",
     import OpenEXR
 
     if colour:
-        lobes = lobes.in_basis("RGB")
-    measurement = lobes.measured()
+        brdf = brdf.in_basis("RGB")
+    measurement = brdf.measured()
     data = measurement.dataset
     incidences = [data.isel(theta_i=i, phi_i=j) for i, j in np.argwhere(measurement.measured)]
     if layout == "disc":
-        parts = [_disc_part(lobes, incidence) for incidence in incidences]
+        parts = [_disc_part(brdf, incidence) for incidence in incidences]
     else:
         quantities = [name for name in QUANTITIES if data[name].notnull().any()]
-        parts = [_part(lobes, incidence, name) for incidence in incidences for name in quantities]
+        parts = [_part(brdf, incidence, name) for incidence in incidences for name in quantities]
     with atomic_write(path) as temporary:
         try:
             OpenEXR.File([OpenEXR.Part(header, channels) for header, channels in parts]).write(str(temporary))
@@ -86,22 +87,22 @@ def write(lobes: BRDF, path: Path, colour: bool = False, layout: Literal["bins",
     return ()
 
 
-def _part(lobes: BRDF, incidence: xr.Dataset, variable: str) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
+def _part(brdf: BRDF, incidence: xr.Dataset, variable: str) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
     """Header and channels of one incidence's image of `variable`."""
     suffix = variable.removeprefix("brdf")
-    header = _header(incidence, suffix, "bins", _description(lobes, incidence, variable))
+    header = _header(incidence, suffix, "bins", _description(brdf, incidence, variable))
     image = _centred(incidence[variable].sel(order="all")).transpose("wavelength", "theta_o", "dphi")
-    return header, dict(zip(_channels(lobes), np.ascontiguousarray(image.values, np.float32), strict=True))
+    return header, dict(zip(_channels(brdf), np.ascontiguousarray(image.values, np.float32), strict=True))
 
 
-def _disc_part(lobes: BRDF, incidence: xr.Dataset) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
+def _disc_part(brdf: BRDF, incidence: xr.Dataset) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
     """Header and channels of one incidence's disc."""
     wo, above = _disc_directions()
     wi = np.broadcast_to(direction(float(incidence["theta_i"]), float(incidence["phi_i"])), wo.shape)
-    image = np.zeros((len(lobes.wavelengths), *above.shape), np.float32)
-    image[:, above] = lobes.evaluate(wi[above], wo[above]).T
-    about = {**_about(lobes, incidence), "quantity": "BRDF, all orders of scattering, no cosine"}
-    channels = {**dict(zip(_channels(lobes), image, strict=True)), "A": above.astype(np.float32)}
+    image = np.zeros((len(brdf.wavelengths), *above.shape), np.float32)
+    image[:, above] = brdf.evaluate(wi[above], wo[above]).T
+    about = {**_about(brdf, incidence), "quantity": "BRDF, all orders of scattering, no cosine"}
+    channels = {**dict(zip(_channels(brdf), image, strict=True)), "A": above.astype(np.float32)}
     return _header(incidence, "", "disc", about), channels
 
 
@@ -128,27 +129,21 @@ def _header(incidence: xr.Dataset, suffix: str, layout: str, about: dict[str, An
     }
 
 
-def _channels(lobes: BRDF) -> tuple[str, ...]:
+def _channels(brdf: BRDF) -> tuple[str, ...]:
     """Names of the channels, as readers of spectral and of colour images expect them."""
-    if lobes.basis == "spectrum":
-        return tuple(channel_name(nm) for nm in lobes.wavelengths.tolist())
-    return lobes.channels
+    if brdf.basis == "spectrum":
+        return tuple(channel_name(nm) for nm in brdf.wavelengths.tolist())
+    return brdf.channels
 
 
 def channel_name(wavelength: float) -> str:
     """The spectral layout's name of a reflectance-like channel: `T.550nm`, `T.632,8nm`."""
-    return f"T.{_digits(wavelength).replace('.', ',')}nm"
+    return f"T.{decimal(wavelength).replace('.', ',')}nm"
 
 
 def part_name(theta_i: float, phi_i: float) -> str:
     """The name of an incidence's image: `theta_i030.0_phi_i000.0`, with more digits where one is not enough."""
-    angles = (f"{angle:05.1f}" if round(angle, 1) == angle else _digits(angle) for angle in (theta_i, phi_i))
-    return "theta_i{}_phi_i{}".format(*angles)
-
-
-def _digits(value: float) -> str:
-    """The shortest decimal that reads back as `value`, never with an exponent."""
-    return np.format_float_positional(value, trim="-")
+    return f"theta_i{padded(theta_i)}_phi_i{padded(phi_i)}"
 
 
 def _centred(image: xr.DataArray | xr.Dataset) -> Any:
@@ -156,31 +151,31 @@ def _centred(image: xr.DataArray | xr.Dataset) -> Any:
     return image.roll(dphi=image.sizes["dphi"] // 2, roll_coords=True)
 
 
-def _about(lobes: BRDF, incidence: xr.Dataset) -> dict[str, Any]:
+def _about(brdf: BRDF, incidence: xr.Dataset) -> dict[str, Any]:
     """What is known of one incidence's image, whatever its layout."""
     return {
         "units": "sr-1",
         "theta_i": float(incidence["theta_i"]),
         "phi_i": float(incidence["phi_i"]),
         "angle_units": "degree",
-        "basis": lobes.basis,
-        "wavelengths": lobes.wavelengths.tolist(),
+        "basis": brdf.basis,
+        "wavelengths": brdf.wavelengths.tolist(),
         "wavelength_units": "nm",
-        "isotropic": bool(lobes.isotropic),
+        "isotropic": bool(brdf.isotropic),
         **{name: str(int(incidence[name])) for name in ("paths", "realisations") if name in incidence},
-        "provenance": {key: _text(value) for key, value in lobes.attributes.items()},
+        "provenance": {key: _text(value) for key, value in brdf.attributes.items()},
     }
 
 
-def _description(lobes: BRDF, incidence: xr.Dataset, variable: str) -> dict[str, Any]:
+def _description(brdf: BRDF, incidence: xr.Dataset, variable: str) -> dict[str, Any]:
     """What the part holds, on which grid, and everything that is known about how it was made."""
     grid = _centred(incidence)
     dphi = (grid["dphi"].values + 180.0) % 360.0 - 180.0
     offsets = grid["dphi_bounds"].values - grid["dphi"].values[:, None]
     return {
-        **_about(lobes, incidence),
+        **_about(brdf, incidence),
         "quantity": QUANTITIES[variable],
-        "detector": lobes.measured().attributes["detector"],
+        "detector": brdf.measured().attributes["detector"],
         "theta_o": grid["theta_o"].values.tolist(),
         "theta_o_bounds": grid["theta_o_bounds"].values.tolist(),
         "dphi": dphi.tolist(),
@@ -245,7 +240,8 @@ def _attributes(path: Path, about: dict[str, Any]) -> dict[str, Any]:
 
 def _nodes(images: list[tuple[dict[str, Any], Floats]]) -> tuple[Floats, Floats]:
     """Every theta_i and phi_i that occurs, ascending."""
-    return tuple(np.unique([about[name] for about, _ in images]) for name in ("theta_i", "phi_i"))  # type: ignore[return-value]
+    theta_i, phi_i = (np.unique([about[name] for about, _ in images]) for name in ("theta_i", "phi_i"))
+    return theta_i, phi_i
 
 
 def _bins(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> BRDF:
@@ -259,12 +255,9 @@ def _bins(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> BRDF:
     for each, pixels in images:
         at = np.searchsorted(theta_i, each["theta_i"]), np.searchsorted(phi_i, each["phi_i"])
         tables[each["quantity"]][at] = np.roll(pixels, -(detector.shape[1] // 2), axis=1)
-    brdf, errors = (tables[QUANTITIES[name]] for name in ("brdf", "brdf_standard_error"))
-    measurement = tabulated(
-        brdf, detector, theta_i, phi_i, about["wavelengths"],
-        standard_error=errors, attributes=_attributes(path, about),
-    )  # fmt: skip
-    return BRDF.of(measurement)
+    values, errors = (tables[QUANTITIES[name]] for name in ("brdf", "brdf_standard_error"))
+    attributes = _attributes(path, about)
+    return BRDF.of(tabulated(values, detector, theta_i, phi_i, about["wavelengths"], errors, attributes))
 
 
 def _disc(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> BRDF:
@@ -284,9 +277,14 @@ def _disc(path: Path, images: list[tuple[dict[str, Any], Floats]]) -> BRDF:
         return np.asarray(table[row, column, *_texel(wo)])
 
     return BRDF(
-        evaluate=evaluate, wavelengths=np.array(about["wavelengths"]), theta_i=theta_i, phi_i=phi_i,
-        isotropic=about["isotropic"], basis=about["basis"], attributes=_attributes(path, about),
-    )  # fmt: skip
+        evaluate=evaluate,
+        wavelengths=np.array(about["wavelengths"]),
+        theta_i=theta_i,
+        phi_i=phi_i,
+        isotropic=about["isotropic"],
+        basis=about["basis"],
+        attributes=_attributes(path, about),
+    )
 
 
 def _texel(wo: Vectors) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

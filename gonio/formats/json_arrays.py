@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.formats.scattered import frame
+from gonio.formats.text import frame
 from microsurfaces.arrays import Floats
 
 LARGEST = 1 << 29

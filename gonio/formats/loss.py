@@ -12,7 +12,7 @@ from gonio.sphere import direction
 from gonio.wording import percent
 from microsurfaces.arrays import Floats
 
-FLOOR = 0.01
+RELATIVE_THRESHOLD = 0.01
 """Bins below this share of the peak of their incidence and channel count for the albedo only."""
 
 
@@ -42,8 +42,8 @@ class Loss:
         source = source.in_basis(copy.basis)
         measurement = source.measured()
         places = list(measurement.incidences())
-        lamps = [direction(theta, phi) for theta, phi in places]
-        ours, theirs = (np.stack([lobes.average(wi, source.detector) for wi in lamps]) for lobes in (source, copy))
+        incidences = [direction(theta, phi) for theta, phi in places]
+        ours, theirs = (np.stack([brdf.average(wi, source.detector) for wi in incidences]) for brdf in (source, copy))
         errors = measurement.dataset["brdf_standard_error"].sel(order="all")
         error = np.stack([errors.sel(theta_i=theta, phi_i=phi).values for theta, phi in places]).reshape(ours.shape)
         area = source.detector.projected_solid_angles()[:, None]
@@ -51,11 +51,11 @@ class Loss:
         both = np.isfinite(ours) & np.isfinite(theirs)
         ours, known = np.nan_to_num(ours), np.where(both, theirs, 0.0)
         change = ((known - np.where(both, ours, 0.0)) * area).sum(axis=1) / _positive((ours * area).sum(axis=1))
-        floor = FLOOR * ours.max(axis=1, keepdims=True)
-        bright = (ours > floor) & (ours > 0)
+        threshold = RELATIVE_THRESHOLD * ours.max(axis=1, keepdims=True)
+        bright = (ours > threshold) & (ours > 0)
         counts = np.where(bright & both, area, 0.0)
-        # A bin that is dark in the file is as wrong as one at a tenth of the floor, not infinitely so.
-        logs = np.log(_positive(np.maximum(known, floor / 10)) / _positive(ours))
+        # A bin that is dark in the file is as wrong as one at a tenth of the threshold, not infinitely so.
+        logs = np.log(_positive(np.maximum(known, threshold / 10)) / _positive(ours))
         off = np.where(counts > 0, np.abs(np.expm1(logs)), 0.0)
         incidence, place, _ = np.unravel_index(int(off.argmax()), off.shape)
         ring, sector = divmod(int(place), source.detector.shape[1])
@@ -73,8 +73,8 @@ class Loss:
         """All of it in words."""
         place = "theta_i = {:g}, phi_i = {:g}, theta_o = {:g}, dphi = {:g}".format(*self.where)
         text = (
-            f"Read back, albedos change by at most {percent(self.albedo)}, and bins above {FLOOR:.0%} of the peak by "
-            f"{percent(self.log_rms)} (rms)"
+            f"Read back, albedos change by at most {percent(self.albedo)}, and bins above {RELATIVE_THRESHOLD:.0%} of "
+            f"the peak by {percent(self.log_rms)} (rms)"
             + (f", at most {percent(self.largest)} ({place})." if self.largest else ".")
         )
         if np.isfinite(self.noise):

@@ -5,7 +5,7 @@ Opens in BRDF Explorer, dj_brdf, ALTA, libbsdf and nearly every published reader
 Layout, little-endian: int32 numbers of bins in theta_h, theta_d and phi_d (90, 90, 180), then float64 values, a plane
 of [theta_h][theta_d][phi_d] for each of red, green and blue: 34 992 012 bytes. A value is f_r in 1/sr (no cosine) times
 1500, 1500 / 1.15 and 1500 / 1.66; a negative one marks directions below the horizon. The half vector's polar angle
-theta_h has bins that are narrow at the mirror direction, with edges at (i/90)² 90 degrees; theta_d, the angle between
+theta_h has bins that are narrow at the specular direction, with edges at (i/90)² 90 degrees; theta_d, the angle between
 the half vector and either direction, has bins of one degree, and so has phi_d, the azimuth of `wi` about the half
 vector, counted from the plane of the normal. In the frame where the half vector has azimuth 0,
 `wi = Ry(theta_h) (sin theta_d cos phi_d, sin theta_d sin phi_d, cos theta_d)` and `wo` is its mirror image.
@@ -56,30 +56,30 @@ _CORNERS = tuple(itertools.product((0.0, 1.0), repeat=3))
 """Places in bins that reach above the horizon with a corner only, as shares of their widths."""
 
 
-def write(lobes: BRDF, path: Path, sample: Sample = "centre") -> Sequence[str]:
-    """Write `lobes` in linear sRGB, and say how far from reciprocal they were.
+def write(brdf: BRDF, path: Path, sample: Sample = "centre") -> Sequence[str]:
+    """Write `brdf` in linear sRGB, and say how far from reciprocal it was.
 
     A bin is the mean of f(wi, wo) and f(wo, wi), which the format cannot tell apart; where only one of the two lies
     within the known incidences it is that one. Raises ValueError if the azimuth of the light matters: an average over
     it would be the BRDF of another specimen.
     """
-    if not lobes.isotropic:
+    if not brdf.isotropic:
         raise ValueError(
             "MERL holds isotropic BRDFs only, and this one depends on the azimuth of the light: measure with azimuth = "
             '"average", or call as_isotropic() (--isotropic) if the specimen looks the same from every azimuth'
         )
-    lobes = lobes.in_basis("RGB")
+    brdf = brdf.in_basis("RGB")
     place = 0.5 if sample == "centre" else 0.0
-    values = np.stack([_row(lobes, i, (place, place, place)) for i in range(BINS[0])])
+    values = np.stack([_row(brdf, i, (place, place, place)) for i in range(BINS[0])])
     above = np.isfinite(values[..., 0])
     stored = np.where(above[..., None], np.maximum(values, 0.0) / SCALE, BELOW_HORIZON)
     with atomic_write(path) as scratch, scratch.open("wb") as file:
         file.write(np.array(BINS, "<i4").tobytes())
         file.write(np.moveaxis(stored, -1, 0).astype("<f8").tobytes())
-    return _notes(lobes, values[above])
+    return _notes(brdf, values[above])
 
 
-def _row(lobes: BRDF, i: int, place: tuple[float, float, float]) -> Floats:
+def _row(brdf: BRDF, i: int, place: tuple[float, float, float]) -> Floats:
     """The bins of one theta_h, (theta_d, phi_d, RGB); NaN where nothing lies above the horizon or nothing is known."""
     total, count = np.zeros((*BINS[1:], 3)), np.zeros((*BINS[1:], 1))
     for places in ((place,), _CORNERS):
@@ -88,7 +88,7 @@ def _row(lobes: BRDF, i: int, place: tuple[float, float, float]) -> Floats:
             wi, wo = _directions(i + x, j + y, k + z)
             above = (wi[:, 2] > 0) & (wo[:, 2] > 0)
             if above.any():
-                values = _both_ways(lobes, wi[above], wo[above])
+                values = _both_ways(brdf, wi[above], wo[above])
                 known = np.isfinite(values).all(axis=-1, keepdims=True)
                 total[j[above], k[above]] += np.where(known, values, 0.0)
                 count[j[above], k[above]] += known
@@ -106,25 +106,25 @@ def _directions(i: ArrayLike, j: ArrayLike, k: ArrayLike) -> tuple[Vectors, Vect
     return wi, reflect(wi, direction(theta_h, 0.0))
 
 
-def _both_ways(lobes: BRDF, wi: Vectors, wo: Vectors) -> Floats:
+def _both_ways(brdf: BRDF, wi: Vectors, wo: Vectors) -> Floats:
     """The mean of f(wi, wo) and f(wo, wi), or the one of them that lies within the known incidences."""
-    known_i, known_o = (angles(w)[0][:, None] <= lobes.theta_i[-1] for w in (wi, wo))
+    known_i, known_o = (angles(w)[0][:, None] <= brdf.theta_i[-1] for w in (wi, wo))
     only_i, only_o = known_i & ~known_o, known_o & ~known_i
-    there = lobes.evaluate(np.where(only_o, wo, wi), np.where(only_o, wi, wo))
-    back = lobes.evaluate(np.where(only_i, wi, wo), np.where(only_i, wo, wi))
+    there = brdf.evaluate(np.where(only_o, wo, wi), np.where(only_o, wi, wo))
+    back = brdf.evaluate(np.where(only_i, wi, wo), np.where(only_i, wo, wi))
     return np.asarray((there + back) / 2)
 
 
-def _notes(lobes: BRDF, values: Floats) -> list[str]:
+def _notes(brdf: BRDF, values: Floats) -> list[str]:
     """What had to be bent; `values` (n, RGB) are those above the horizon."""
     notes = ["MERL takes a BRDF for reciprocal: f(wi, wo) and f(wo, wi) were averaged"]
-    differences = _differences(lobes)
+    differences = _differences(brdf)
     if differences.size:
         median, high = np.percentile(100 * differences, [50, 95])
         notes[0] += f", which differed by {median:.2g} % (median) and {high:.2g} % (95th percentile)"
-    if lobes.theta_i[-1] < 89:
+    if brdf.theta_i[-1] < 89:
         notes.append(
-            f"incidences beyond {lobes.theta_i[-1]:g} degrees are not known: where light and detector both lie beyond, "
+            f"incidences beyond {brdf.theta_i[-1]:g} degrees are not known: where light and detector both lie beyond, "
             "the nearest known incidence stands"
         )
     negative = (values < 0).mean()
@@ -133,18 +133,18 @@ def _notes(lobes: BRDF, values: Floats) -> list[str]:
     return notes
 
 
-def _differences(lobes: BRDF) -> Floats:
+def _differences(brdf: BRDF) -> Floats:
     """|f(wi, wo) - f(wo, wi)| over their mean where that is above 1 % of the peak of an incidence and channel.
 
     Of directions that share the projected hemisphere evenly, within the known incidences.
     """
     grid = HemisphereGrid(theta_step=3.0, phi_step=10.0, spacing="projected_area")
-    theta: Floats = grid.theta[grid.theta <= lobes.theta_i[-1]]
+    theta: Floats = grid.theta[grid.theta <= brdf.theta_i[-1]]
     if not theta.size:
         return theta
     theta_i, theta_o, dphi = (a.ravel() for a in np.meshgrid(theta, theta, grid.dphi, indexing="ij"))
     wi, wo = direction(theta_i, 0.0), direction(theta_o, dphi)
-    both = np.stack([lobes.evaluate(wi, wo), lobes.evaluate(wo, wi)])
+    both = np.stack([brdf.evaluate(wi, wo), brdf.evaluate(wo, wi)])
     both = both.reshape(2, len(theta), len(theta) * len(grid.dphi), 3)
     mean = np.nan_to_num(both.mean(axis=0))
     bright = (mean > 0.01 * mean.max(axis=1, keepdims=True, initial=0.0)) & (mean > 0)

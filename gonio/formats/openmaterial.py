@@ -5,8 +5,8 @@ JSON with `metadata` and `brdf`. `brdf.wavelengths` lists the wavelengths in met
     [wavelength in m, theta_i, theta_o, phi_o in rad, f_r in 1/sr (no cosine) or null]
 
 for every bin, sorted by its columns from the first on. phi_o is relative to the azimuth of the light, counter-clockwise
-seen from above: 0 is the lamp's side and π the mirror's. Therefore the table is isotropic; of an anisotropic specimen
-it holds the mean over the azimuths of the light. Errors are lost.
+seen from above: 0 is the source side and π the specular side. Therefore the table is isotropic; of an anisotropic
+specimen it holds the mean over the azimuths of the light. Errors are lost.
 
 **The detector's solid angle** is in `brdf.receiverSolidAngles`, one for each wavelength in sr, as the standard and SEMI
 ME1392 want it. The values are averages over the bins of a hemisphere, which are not all equally large: what stands
@@ -14,7 +14,7 @@ there is the mean of all bins, and `brdf.binSolidAngles`, an addition of ours, h
 theta_o.
 
 Read is every such table; a phi_o from 0 to π only stands for both sides. Directions need not form a grid: see
-`gonio.formats.table`.
+`gonio.formats.scattered`.
 
 ASAM OpenMATERIAL 3D 1.1, schema material_brdf_schema.json (github.com/asam-ev/OpenMATERIAL-3D).
 """
@@ -35,7 +35,10 @@ import numpy as np
 from gonio.brdf import BRDF
 from gonio.detectors import HemisphereGrid
 from gonio.formats import json_arrays
-from gonio.formats.scattered import Table, decimal, degrees, detector_of, title_of
+from gonio.formats.scattered.bins import detector_of
+from gonio.formats.scattered.rows import degrees
+from gonio.formats.scattered.table import Table
+from gonio.formats.text import decimal, radians, title_of
 from gonio.measurement import Measurement
 from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
@@ -51,21 +54,21 @@ SCHEMA = (
 )
 
 
-def write(lobes: BRDF, path: Path) -> Sequence[str]:
+def write(brdf: BRDF, path: Path) -> Sequence[str]:
     """Write every bin of every measured polar angle of the light, the mean over its azimuths.
 
     Raises OSError where the file cannot be written.
     """
-    measurement = lobes.measured()
+    measurement = brdf.measured()
     data = measurement.dataset.sel(order="all")
-    brdf = (data["brdf"].isel(phi_i=0) if lobes.isotropic else data["brdf"].mean("phi_i")).sortby("wavelength")
-    values = brdf.transpose("wavelength", "theta_i", "theta_o", "dphi")
+    values = data["brdf"].isel(phi_i=0) if brdf.isotropic else data["brdf"].mean("phi_i")
+    values = values.sortby("wavelength").transpose("wavelength", "theta_i", "theta_o", "dphi")
     head = {
         "$schema": SCHEMA,
-        "metadata": _metadata(lobes, measurement),
+        "metadata": _metadata(brdf, measurement),
         "brdf": {
             "wavelengths": [_metres(nm) for nm in values["wavelength"].values],
-            **_solid_angles(values["wavelength"].values, measurement),
+            **_solid_angles(values["wavelength"].values, brdf.detector),
         },
     }
     text = json.dumps(head, indent=1, ensure_ascii=False, allow_nan=False).removesuffix("\n }\n}")
@@ -74,38 +77,34 @@ def write(lobes: BRDF, path: Path) -> Sequence[str]:
         for index, rows in enumerate(_rows(values)):
             file.write((",\n" if index else "") + ",\n".join(rows))
         file.write("\n]}}\n")
-    return _notes(lobes, measurement, values.values)
+    return _notes(brdf, measurement, values.values)
 
 
 def _rows(values: xr.DataArray) -> Iterator[Iterator[str]]:
     """The rows of each wavelength and incidence as text."""
     bins = [
-        f"{_radians(theta)},{_radians(phi)}"
+        f"{radians(theta)},{radians(phi)}"
         for theta, phi in itertools.product(values["theta_o"].values, values["dphi"].values)
     ]
     for nm, at_wavelength in zip(values["wavelength"].values, values.values, strict=True):
         for theta_i, lobe in zip(values["theta_i"].values, at_wavelength, strict=True):
-            light = f"[{_metres(nm)!r},{_radians(theta_i)}"
+            light = f"[{_metres(nm)!r},{radians(theta_i)}"
             # Negative values are refused by the schema; maximum keeps what is not known.
             numbers = map(repr, np.maximum(lobe, 0.0).ravel().tolist())
             yield (f"{light},{place},{'null' if v == 'nan' else v}]" for place, v in zip(bins, numbers, strict=True))
-
-
-def _radians(angle: float) -> str:
-    return decimal(float(np.radians(angle)))
 
 
 def _metres(nm: float) -> float:
     return float(f"{decimal(nm)}e-9")
 
 
-def _metadata(lobes: BRDF, measurement: Measurement) -> dict[str, Any]:
+def _metadata(brdf: BRDF, measurement: Measurement) -> dict[str, Any]:
     digest = hashlib.blake2b(
         np.ascontiguousarray(measurement.dataset["brdf"].values).tobytes(), digest_size=16
     ).digest()
-    origin = lobes.attributes.get("origin")
+    origin = brdf.attributes.get("origin")
     return {
-        "name": title_of(lobes.title),
+        "name": title_of(brdf.title),
         "description": "Averages over bins of theta_o and phi_o, given by their centres.",
         "uuid": str(uuid.UUID(bytes=digest, version=5)),
         "materialVersion": "1.0.0",
@@ -115,13 +114,12 @@ def _metadata(lobes: BRDF, measurement: Measurement) -> dict[str, Any]:
         "authors": ["NA"],
         "creationDate": datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ"),
         "sources": "simulated by gonio" if origin is None else title_of(origin),
-        "gonio": {"basis": lobes.basis, "detector": json.loads(measurement.attributes["detector"])},
+        "gonio": {"basis": brdf.basis, "detector": json.loads(measurement.attributes["detector"])},
     }
 
 
-def _solid_angles(wavelengths: Floats, measurement: Measurement) -> dict[str, Any]:
+def _solid_angles(wavelengths: Floats, grid: HemisphereGrid) -> dict[str, Any]:
     """Of the bins: their mean for each wavelength, and the one of each ring."""
-    grid: HemisphereGrid = measurement.detector  # type: ignore[assignment]
     rings = -np.diff(np.cos(np.radians(grid.theta_edges))) * (2 * np.pi / grid.shape[1])
     mean = 2 * np.pi / grid.bins
     return {
@@ -133,18 +131,18 @@ def _solid_angles(wavelengths: Floats, measurement: Measurement) -> dict[str, An
     }
 
 
-def _notes(lobes: BRDF, measurement: Measurement, values: Floats) -> Sequence[str]:
+def _notes(brdf: BRDF, measurement: Measurement, values: Floats) -> Sequence[str]:
     notes = []
     unknown = np.isnan(values).mean()
     if unknown:
         notes.append(f"nothing is known of {unknown:.1%} of the values: they are null")
     if (values < 0).any():
         notes.append(f"{(values < 0).mean():.1%} of the values were negative: the format demands 0")
-    if lobes.basis != "spectrum":
-        named = zip(lobes.channels, lobes.wavelengths, strict=True)
+    if brdf.basis != "spectrum":
+        named = zip(brdf.channels, brdf.wavelengths, strict=True)
         notes.append(f"colours stand at nominal wavelengths: {', '.join(f'{name} at {nm:g} nm' for name, nm in named)}")
-    if not lobes.isotropic:
-        notes.append(f"the table is isotropic: it holds the mean over {len(lobes.phi_i)} azimuths of the light")
+    if not brdf.isotropic:
+        notes.append(f"the table is isotropic: it holds the mean over {len(brdf.phi_i)} azimuths of the light")
     if measurement.dataset["brdf_standard_error"].notnull().any():
         notes.append("the format has no place for standard errors")
     return notes
@@ -165,18 +163,22 @@ def read(path: Path) -> BRDF:
         raise ValueError(f"{path}: not an OpenMATERIAL BRDF table: {title_of(error)}") from None
 
 
-def _table(metadata: Mapping[str, Any], brdf: Mapping[str, Any], name: str) -> Table:
-    rows = np.asarray(brdf["lookupTable"], np.float64)
+def _table(metadata: Mapping[str, Any], content: Mapping[str, Any], name: str) -> Table:
+    rows = np.asarray(content["lookupTable"], np.float64)
     if rows.ndim != 2 or rows.shape[1] != 5:
         raise ValueError(f"its lookupTable has the shape {rows.shape}, expected rows of 5 numbers")
     wavelength, theta_i, theta_o, phi_o, values = rows.T
     ours = metadata.get("gonio")
     about = ours if isinstance(ours, dict) else {}
     table = Table.of_rows(
-        degrees(theta_i), np.zeros(len(rows)), degrees(theta_o), degrees(phi_o),
-        np.round(1e9 * wavelength, 6), values,
+        degrees(theta_i),
+        np.zeros(len(rows)),
+        degrees(theta_o),
+        degrees(phi_o),
+        np.round(1e9 * wavelength, 6),
+        values,
         isotropic=True,
         detector=detector_of(about.get("detector")),
         attributes={"title": title_of(metadata.get("name") or name), "origin": f"OpenMATERIAL file {name}"},
-    )  # fmt: skip
+    )
     return table.in_colours(about.get("basis"))

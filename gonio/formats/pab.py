@@ -7,7 +7,7 @@ A file begins with lines of a #: `intheta` and `inphi` of the direction to the l
 for +y, our frame; a missing line means 0, a frame turned by 90 degrees), `format` (BSDF, BRDF or BTDF in 1/sr, or DSF,
 which is BSDF times cosine) and `colorimetry`, CIE-Y or CIE-XYZ. Then come lines of theta, phi and Y, or X, Y and Z:
 angles in degrees, of directions away from the surface, azimuths counter-clockwise from +x, so that light from inphi has
-its mirror direction at inphi + 180. White is that of equal energy, as in Radiance: a neutral surface has X = Y = Z.
+its specular direction at inphi + 180. White is that of equal energy, as in Radiance: a neutral surface has X = Y = Z.
 
 `NAME.pab` lists the files of a set, one name a line, for whoever wants one file; one can make lists of other sets.
 Values are the averages over the measurement's own bins, at their centres, so all that is lost are the spectrum, the
@@ -29,9 +29,10 @@ from pathlib import Path
 import numpy as np
 
 from gonio.brdf import BRDF, NOMINAL, Basis
-from gonio.formats.radiance import WHITE
-from gonio.formats.scattered import Table, decimal, detector_of, incidences, title_of
-from gonio.formats.text import numbers
+from gonio.formats.radiance.colours import WHITE
+from gonio.formats.scattered.bins import detector_of, incidences
+from gonio.formats.scattered.table import Table
+from gonio.formats.text import decimal, numbers, padded, title_of
 from gonio.measurement import Measurement
 from microsurfaces.arrays import Floats
 
@@ -42,20 +43,20 @@ _MOST_TURNS = 1e6
 """Degrees that an angle may have: beyond, rounding turns it into any other."""
 
 
-def write(lobes: BRDF, path: Path) -> Sequence[str]:
+def write(brdf: BRDF, path: Path) -> Sequence[str]:
     """Write a file for every incidence beside `path`, which lists them; in colour if there is more than one channel.
 
     They are named as `path` with `_theta_i030.0_phi_i000.0` before the suffix. Raises OSError where nothing can be
     written.
     """
-    lobes = lobes.in_basis("Y" if len(lobes.wavelengths) == 1 else "XYZ")
-    measurement = lobes.measured()
+    brdf = brdf.in_basis("Y" if len(brdf.wavelengths) == 1 else "XYZ")
+    measurement = brdf.measured()
     names, unknown = [], []
     with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as folder:
         for theta_i, phi_i, values, _ in incidences(measurement):
-            names.append(f"{path.stem}_theta_i{_angle(theta_i)}_phi_i{_angle(phi_i)}{path.suffix}")
+            names.append(f"{path.stem}_theta_i{padded(theta_i)}_phi_i{padded(phi_i)}{path.suffix}")
             unknown.append(np.isnan(values).mean())
-            text = _header(lobes, measurement, theta_i, phi_i) + _lines(lobes, phi_i, values)
+            text = _header(brdf, measurement, theta_i, phi_i) + _lines(brdf, phi_i, values)
             (Path(folder) / names[-1]).write_text(text, encoding="utf-8")
         (Path(folder) / path.name).write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
         for name in (*names, path.name):
@@ -66,28 +67,23 @@ def write(lobes: BRDF, path: Path) -> Sequence[str]:
     return notes
 
 
-def _angle(degrees: float) -> str:
-    """`030.0`, with more digits where one is not enough."""
-    return f"{degrees:05.1f}" if round(degrees, 1) == degrees else decimal(degrees)
-
-
-def _header(lobes: BRDF, measurement: Measurement, theta_i: float, phi_i: float) -> str:
+def _header(brdf: BRDF, measurement: Measurement, theta_i: float, phi_i: float) -> str:
     """What comes before the numbers."""
-    title = title_of(lobes.title).replace('"', "'")[:200]
+    title = title_of(brdf.title).replace('"', "'")[:200]
     return f"""#sample_name "{title}"
-#colorimetry: CIE-{"Y" if len(lobes.wavelengths) == 1 else "XYZ"}
+#colorimetry: CIE-{"Y" if len(brdf.wavelengths) == 1 else "XYZ"}
 #format: theta phi BRDF
 #intheta {decimal(theta_i)}
 #inphi {decimal(phi_i)}
 #upphi 90
-#symmetry {"isotropic" if lobes.isotropic else "anisotropic"}
+#symmetry {"isotropic" if brdf.isotropic else "anisotropic"}
 #detector {measurement.attributes["detector"]}
 """
 
 
-def _lines(lobes: BRDF, phi_i: float, values: Floats) -> str:
+def _lines(brdf: BRDF, phi_i: float, values: Floats) -> str:
     """A line for every bin of `values` (rings, sectors, channels) that is known."""
-    grid = lobes.detector
+    grid = brdf.detector
     theta, phi = np.meshgrid(grid.theta, (grid.dphi + phi_i) % 360, indexing="ij")
     white = WHITE if values.shape[2] == 3 else np.ones(1)
     rows = np.concatenate([theta[..., None], phi[..., None], values / white], axis=-1).reshape(-1, 2 + values.shape[2])

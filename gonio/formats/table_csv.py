@@ -3,13 +3,13 @@
 **Written.** A commented header (lines that start with `#`: title, units, the angles, and everything that is known about
 the measurement as JSON on the line `# gonio.json`), the names of the columns, then the rows:
 
-    theta_i, phi_i      direction to the light, degrees
-    theta_o, phi_o      direction to the detector, degrees, absolute
-    dphi                phi_o - phi_i: 0 on the lamp's side, 180 on the mirror's
-    wavelength          nm; a nominal one where channels are colours (`basis` in the JSON says so)
-    brdf                average over the bin, 1/sr, all orders of scattering, no cosine; empty where nothing is known
-    brdf_standard_error 1/sr; the column is missing if no error is known
-    count               paths that arrived in the bin; the column is missing if they were not counted
+    theta_i, phi_i       direction to the light, degrees
+    theta_o, phi_o       direction to the detector, degrees, absolute
+    dphi                 phi_o - phi_i: 0 on the source side, 180 on the specular side
+    wavelength           nm; a nominal one where channels are colours (`basis` in the JSON says so)
+    brdf                 average over the bin, 1/sr, all orders of scattering, no cosine; empty where unknown
+    brdf_standard_error  1/sr; the column is missing if no error is known
+    count                paths that arrived in the bin; the column is missing if they were not counted
 
 Azimuths run counter-clockwise seen from above, from the x axis. Angles belong to the centres of the bins. Numbers are
 the shortest decimals that read back as the same double: nothing is lost. `pandas.read_csv(path, comment="#")` reads it;
@@ -33,7 +33,9 @@ from typing import Any
 import numpy as np
 
 from gonio.brdf import BRDF
-from gonio.formats.scattered import Table, decimal, detector_of, frame, incidences, title_of
+from gonio.formats.scattered.bins import detector_of, incidences
+from gonio.formats.scattered.table import Table
+from gonio.formats.text import decimal, frame, title_of
 from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
 
@@ -42,7 +44,7 @@ COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "dphi", "wavelength", "brdf",
 
 COMMENTS = (
     "BRDF in 1/sr (no cosine), average over bins centred on (theta_o, dphi); angles in degrees, wavelengths in nm",
-    "theta from the surface normal, phi counter-clockwise from x; dphi = phi_o - phi_i: 0 lamp's side, 180 mirror's",
+    "theta from the normal, phi counter-clockwise from x; dphi = phi_o - phi_i: 0 source side, 180 specular side",
 )
 
 EXCEL_ROWS = 1_048_576
@@ -54,46 +56,46 @@ LONGEST_HEADER = 1 << 24
 """Bytes before the first row."""
 
 
-def write(lobes: BRDF, path: Path) -> Sequence[str]:
+def write(brdf: BRDF, path: Path) -> Sequence[str]:
     """Write every bin of every measured incidence, with its standard error and count where they are known.
 
     Raises OSError where the file cannot be written.
     """
-    measurement = lobes.measured()
+    measurement = brdf.measured()
     data = measurement.dataset.sel(order="all")
     count = data["count"].values if "count" in data else None
     known = bool(data["brdf_standard_error"].notnull().any())
     names = [*COLUMNS[:7], *COLUMNS[7:][: int(known)], *(["count"] if count is not None else [])]
     rows = 0
     with atomic_write(path) as scratch, scratch.open("w", encoding="utf-8", newline="\n") as file:
-        file.write("".join(f"# {line}\n" for line in _comments(lobes)) + ",".join(names) + "\n")
-        for (i, j), (theta, phi, brdf, errors) in zip(
+        file.write("".join(f"# {line}\n" for line in _comments(brdf)) + ",".join(names) + "\n")
+        for (i, j), (theta, phi, values, errors) in zip(
             np.argwhere(measurement.measured), incidences(measurement), strict=True
         ):
-            columns = [_places(theta, phi, data, lobes.wavelengths), _texts(brdf)]
+            columns = [_places(theta, phi, data, brdf.wavelengths), _texts(values)]
             if known:
                 columns.append(_texts(errors))
             if count is not None:
-                columns.append(np.repeat(count[i, j], len(lobes.wavelengths)).astype(str).tolist())
+                columns.append(np.repeat(count[i, j], len(brdf.wavelengths)).astype(str).tolist())
             file.write("\n".join(map(",".join, zip(*columns, strict=True))) + "\n")
-            rows += brdf.size
+            rows += values.size
     if rows >= EXCEL_ROWS:
         return (f"it has {rows} rows, of which Excel shows the first {EXCEL_ROWS - 1}; pandas reads them all",)
     return ()
 
 
-def _comments(lobes: BRDF) -> Sequence[str]:
-    provenance = {key: value if isinstance(value, str) else str(value) for key, value in lobes.attributes.items()}
+def _comments(brdf: BRDF) -> Sequence[str]:
+    provenance = {key: value if isinstance(value, str) else str(value) for key, value in brdf.attributes.items()}
     about = {
-        "title": lobes.title,
-        "basis": lobes.basis,
-        "isotropic": bool(lobes.isotropic),
-        "detector": json.loads(lobes.measured().attributes["detector"]),
+        "title": brdf.title,
+        "basis": brdf.basis,
+        "isotropic": bool(brdf.isotropic),
+        "detector": json.loads(brdf.measured().attributes["detector"]),
         "provenance": provenance,
     }
-    named = zip(lobes.channels, lobes.wavelengths, strict=True)
-    channels = () if lobes.basis == "spectrum" else (", ".join(f"{name} at wavelength {nm:g}" for name, nm in named),)
-    return (title_of(lobes.title), *COMMENTS, *channels, f"gonio.json {json.dumps(about)}")
+    named = zip(brdf.channels, brdf.wavelengths, strict=True)
+    channels = () if brdf.basis == "spectrum" else (", ".join(f"{name} at wavelength {nm:g}" for name, nm in named),)
+    return (title_of(brdf.title), *COMMENTS, *channels, f"gonio.json {json.dumps(about)}")
 
 
 def _places(theta: float, phi: float, data: Any, wavelengths: Floats) -> list[str]:
@@ -152,7 +154,7 @@ def _about(text: bytes) -> Mapping[str, Any]:
 
 
 def _table(columns: Mapping[str, Floats], about: Mapping[str, Any], name: str) -> Table:
-    theta_o, brdf = columns["theta_o"], columns["brdf"]
+    theta_o = columns["theta_o"]
     phi_i = columns.get("phi_i", np.zeros_like(theta_o))
     dphi = columns["dphi"] if "dphi" in columns else columns["phi_o"] - phi_i
     table = Table.of_rows(
@@ -161,7 +163,7 @@ def _table(columns: Mapping[str, Floats], about: Mapping[str, Any], name: str) -
         theta_o,
         dphi,
         columns.get("wavelength", np.full_like(theta_o, 555.0)),
-        brdf,
+        columns["brdf"],
         columns.get("brdf_standard_error"),
         isotropic=_flag(about.get("isotropic")),
         detector=detector_of(about.get("detector")),

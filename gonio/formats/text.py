@@ -1,8 +1,10 @@
-"""Numbers in text files."""
+"""Numbers and words in text files."""
 
 from __future__ import annotations
 
+import io
 import warnings
+from typing import Any
 
 import numpy as np
 
@@ -27,3 +29,35 @@ def numbers(text: str) -> Floats:
     if not (np.abs(values) < LARGEST).all():
         raise ValueError(f"there is a number that is not finite, or beyond {LARGEST:g}")
     return values
+
+
+def frame(content: bytes, **options: Any) -> Any:
+    """Delimited text as a `pandas.DataFrame` of doubles, each the nearest to its decimal."""
+    import pandas  # type: ignore[import-untyped]
+
+    # Since 3.1 pandas reads like this anyway, and warns if told to.
+    old = tuple(int(number) for number in pandas.__version__.split(".")[:2]) < (3, 1)
+    exact = {"float_precision": "round_trip"} if old else {}
+    return pandas.read_csv(
+        io.BytesIO(content), dtype=np.float64, encoding="utf-8", encoding_errors="replace", **exact, **options
+    )
+
+
+def decimal(value: float) -> str:
+    """The shortest decimal that reads back as `value`, never with an exponent."""
+    return np.format_float_positional(value, trim="-")
+
+
+def padded(angle: float) -> str:
+    """Degrees in names of files and images: `030.0`, with more digits where one is not enough."""
+    return f"{angle:05.1f}" if round(angle, 1) == angle else decimal(angle)
+
+
+def radians(angle: float) -> str:
+    """The shortest decimal of the double that is `angle` degrees in radians."""
+    return decimal(float(np.radians(angle)))
+
+
+def title_of(text: object) -> str:
+    """Text on one line."""
+    return " ".join(str(text).split())

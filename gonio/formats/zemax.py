@@ -12,15 +12,15 @@ Opens in OpticStudio, which uses it for one azimuth of the sample and one tristi
 then for each channel its name (Monochrome, or TristimulusX, Y and Z), `DataBegin`, for every rotation and incidence a
 line `TIS t` and a line for each azimuth with a value for each radial angle, and `DataEnd`.
 
-Angles are in degrees. Directions of scatter are counted from the mirror direction: radial is the angle from it, azimuth
-0 points from it toward the normal, 90 to +y if the light is in the +x half plane. Values are f_r in 1/sr, no cosine;
-TIS is the directional albedo. PlaneSymmetrical tables have azimuths from 0 to 180. A rotation is taken to be phi_i of
-the light, as libbsdf has it; the vendor describes it as a turn of the sample and uses a single one.
+Angles are in degrees. Directions of scatter are counted from the specular direction: radial is the angle from it,
+azimuth 0 points from it toward the normal, 90 to +y if the light is in the +x half plane. Values are f_r in 1/sr, no
+cosine; TIS is the directional albedo. PlaneSymmetrical tables have azimuths from 0 to 180. A rotation is taken to be
+phi_i of the light, as libbsdf has it; the vendor describes it as a turn of the sample and uses a single one.
 
 Programs interpolate linearly in azimuth and radial angle, and between incidences at the same two angles about either
-mirror direction. The table is therefore fine where lobes are, at the mirror direction, and has an incidence every 2.5
-degrees (10 for anisotropic ones) that follows the lobe. Directions below the horizon have no value; to keep them from
-pulling down their neighbours, those next to the horizon hold the value above it. Errors are lost, and so are
+specular direction. The table is therefore fine where lobes are, at the specular direction, and has an incidence every
+2.5 degrees (10 for anisotropic ones) that follows the lobe. Directions below the horizon have no value; to keep them
+from pulling down their neighbours, those next to the horizon hold the value above it. Errors are lost, and so are
 wavelengths: a spectrum becomes its CIE Y or XYZ under D65.
 
 "Zemax Tabular BSDF data file format", support.zemax.com, article 1500005486801; Radiant Imaging, 2008.
@@ -38,8 +38,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.brdf import BRDF, NOMINAL, Basis
-from gonio.formats.scattered import decimal, grid_of_steps, title_of
-from gonio.formats.text import numbers
+from gonio.formats.scattered.bins import grid_of_steps
+from gonio.formats.text import decimal, numbers, title_of
 from gonio.interpolation import bracket, bracket_around
 from gonio.sphere import angles, direction
 from microsurfaces.arrays import Floats, Vectors
@@ -54,7 +54,7 @@ STEPS = {True: (2.5, 3.0), False: (10.0, 5.0)}
 """Between incidences and between azimuths, degrees, for isotropic tables and for others, which are much larger."""
 
 SYMMETRIC = 0.05
-"""Lobes that differ from their mirror images by less than this share of their energy are taken to be symmetric."""
+"""BRDFs that differ from their mirror images by less than this share of their energy are taken to be symmetric."""
 
 LARGEST = 1 << 29
 """Bytes that a file may have."""
@@ -115,14 +115,14 @@ def _frame(theta: ArrayLike, phi: ArrayLike) -> Floats:
 # --- Writing ---------------------------------------------------------------------------------------------------------
 
 
-def write(lobes: BRDF, path: Path, colour: bool = False) -> Sequence[str]:
+def write(brdf: BRDF, path: Path, colour: bool = False) -> Sequence[str]:
     """Write a table of one channel, or with `colour` of X, Y and Z.
 
     Raises ValueError if one azimuth of the light is known of an anisotropic specimen, OSError where the file cannot be
     written.
     """
     content = "XYZ" if colour else "Monochrome"
-    chosen = lobes.in_basis("XYZ") if colour else lobes if len(lobes.wavelengths) == 1 else lobes.in_basis("Y")
+    chosen = brdf.in_basis("XYZ") if colour else brdf if len(brdf.wavelengths) == 1 else brdf.in_basis("Y")
     table, notes = _sampled(chosen)
     symmetry, table = _symmetry(chosen, table, notes)
     albedos = _albedos(chosen, table, notes)
@@ -135,13 +135,13 @@ def write(lobes: BRDF, path: Path, colour: bool = False) -> Sequence[str]:
                 rows = "\n".join([" ".join(["%.6e"] * block.shape[1])] * block.shape[0])
                 file.write(f"TIS {albedo:.6g}\n{rows % tuple(block.ravel().tolist())}\n")
             file.write("DataEnd\n")
-    if not colour and len(lobes.wavelengths) > 1:
-        notes.append(f"Monochrome holds CIE Y under D65 of {', '.join(lobes.channels)}")
+    if not colour and len(brdf.wavelengths) > 1:
+        notes.append(f"Monochrome holds CIE Y under D65 of {', '.join(brdf.channels)}")
     return notes
 
 
-def _head(lobes: BRDF, symmetry: str, content: str, table: _Table) -> str:
-    wavelength = f"# Wavelength {lobes.channels[0]}\n" if lobes.basis == "spectrum" else ""
+def _head(brdf: BRDF, symmetry: str, content: str, table: _Table) -> str:
+    wavelength = f"# Wavelength {brdf.channels[0]}\n" if brdf.basis == "spectrum" else ""
     axes = {
         "SampleRotation": table.rotation,
         "AngleOfIncidence": table.incidence,
@@ -150,27 +150,27 @@ def _head(lobes: BRDF, symmetry: str, content: str, table: _Table) -> str:
     }
     lists = "".join(f"{name}  {len(axis)}\n{' '.join(map(decimal, axis))}\n" for name, axis in axes.items())
     return (
-        f"# {title_of(lobes.title)}\n# Written by gonio: BRDF in 1/sr, without cosine\n{wavelength}"
+        f"# {title_of(brdf.title)}\n# Written by gonio: BRDF in 1/sr, without cosine\n{wavelength}"
         f"Source  Measured\nSymmetry  {symmetry}\nSpectralContent  {content}\nScatterType  BRDF\n{lists}\n"
     )
 
 
-def _sampled(lobes: BRDF) -> tuple[_Table, list[str]]:
-    """The lobes at all nodes, azimuths all around, and what had to be bent."""
-    rotation = np.zeros(1) if lobes.isotropic else lobes.phi_i
-    tilt, turn = STEPS[lobes.isotropic]
-    incidence = np.union1d(lobes.theta_i, np.arange(0.0, 90.0, tilt))
+def _sampled(brdf: BRDF) -> tuple[_Table, list[str]]:
+    """The BRDF at all nodes, azimuths all around, and what had to be bent."""
+    rotation = np.zeros(1) if brdf.isotropic else brdf.phi_i
+    tilt, turn = STEPS[brdf.isotropic]
+    incidence = np.union1d(brdf.theta_i, np.arange(0.0, 90.0, tilt))
     azimuth = np.arange(0.0, 361.0, turn)
     # Programs read a direction above the horizon at the incidences on either side of its own, too.
     apart = np.diff(incidence, append=90.0).max()
     local = direction(*np.meshgrid(RADIAL, azimuth))
-    values = np.zeros((len(rotation), len(incidence), *local.shape[:2], len(lobes.wavelengths)))
+    values = np.zeros((len(rotation), len(incidence), *local.shape[:2], len(brdf.wavelengths)))
     below = unknown = 0
     for (p, phi), (i, theta) in itertools.product(enumerate(rotation), enumerate(incidence)):
         wo = local @ _frame(theta, phi)
         above = wo[..., 2] > 0
         held = _beside(wo[..., 2] > -np.sin(np.radians(apart)))
-        values[p, i][held] = _at_or_above(lobes, direction(theta, phi), wo[held])
+        values[p, i][held] = _at_or_above(brdf, direction(theta, phi), wo[held])
         unknown += int(np.isnan(values[p, i]).any(axis=-1).sum())
         below += int((~above).sum())
     size = values[..., 0].size
@@ -179,7 +179,7 @@ def _sampled(lobes: BRDF) -> tuple[_Table, list[str]]:
     ]
     if unknown:
         notes.append(f"nothing is known at {unknown / size:.1%} of them: they hold 0")
-    first, last = lobes.theta_i[[0, -1]]
+    first, last = brdf.theta_i[[0, -1]]
     if first > 0 or last < 85:
         notes.append(f"light was measured from {first:g} to {last:g} degrees: beyond, the nearest incidence stands")
     return _Table(rotation, incidence, azimuth, RADIAL, False, np.nan_to_num(values)), notes
@@ -197,24 +197,24 @@ def _beside(above: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return held
 
 
-def _at_or_above(lobes: BRDF, wi: Vectors, wo: Vectors) -> Floats:
+def _at_or_above(brdf: BRDF, wi: Vectors, wo: Vectors) -> Floats:
     """Values at `wo` (n, 3), or at the horizon where it is below."""
     raised = wo.copy()
     raised[:, 2] = np.where(wo[:, 2] > 0, wo[:, 2], 1e-3)
     raised /= np.linalg.norm(raised, axis=-1, keepdims=True)
-    return lobes.evaluate(np.broadcast_to(wi, raised.shape), raised)
+    return brdf.evaluate(np.broadcast_to(wi, raised.shape), raised)
 
 
-def _symmetry(lobes: BRDF, table: _Table, notes: list[str]) -> tuple[str, _Table]:
+def _symmetry(brdf: BRDF, table: _Table, notes: list[str]) -> tuple[str, _Table]:
     """The word for the file, and what it holds: the mean of both sides if they differ by no more than noise."""
-    if not lobes.isotropic:
+    if not brdf.isotropic:
         return "Asymmetrical4D", table
     mirrored = table.values[:, :, ::-1]
     weights = _shares(table)[..., None]
     difference = (weights * np.abs(table.values - mirrored)).sum(axis=(0, 2, 3))
     energy = (weights * table.values).sum(axis=(0, 2, 3))
     share = float((difference / np.where(energy > 0, 2 * energy, 1.0)).max())
-    if share > SYMMETRIC + 3 * _noise(lobes):
+    if share > SYMMETRIC + 3 * _noise(brdf):
         notes.append(f"{share:.1%} of the energy is not symmetric about the plane of incidence: Asymmetrical")
         return "Asymmetrical", table
     if share > 1e-6:
@@ -226,18 +226,17 @@ def _symmetry(lobes: BRDF, table: _Table, notes: list[str]) -> tuple[str, _Table
 
 def _shares(table: _Table) -> Floats:
     """cosθ dω that each node stands for, (incidence, azimuth, radial)."""
-    tilt, azimuth, radial = np.radians(np.broadcast_arrays(
-        table.incidence[:, None, None], table.azimuth[:, None], table.radial
-    ))  # fmt: skip
+    axes = np.broadcast_arrays(table.incidence[:, None, None], table.azimuth[:, None], table.radial)
+    tilt, azimuth, radial = np.radians(axes)
     cosine = np.cos(radial) * np.cos(tilt) + np.sin(radial) * np.cos(azimuth) * np.sin(tilt)
     return np.asarray(np.maximum(cosine, 0.0) * np.sin(radial) * np.gradient(table.radial))
 
 
-def _noise(lobes: BRDF) -> float:
+def _noise(brdf: BRDF) -> float:
     """The share of the energy by which two sides differ that only noise sets apart; 0 if errors are not known."""
-    if lobes.measurement is None:
+    if brdf.measurement is None:
         return 0.0
-    data = lobes.measurement.dataset.sel(order="all")
+    data = brdf.measurement.dataset.sel(order="all")
     bins = ("theta_o", "dphi")
     area = data["projected_solid_angle"]
     # Half the mean absolute difference of two normal variates.
@@ -245,11 +244,11 @@ def _noise(lobes: BRDF) -> float:
     return float((spread / (data["brdf"] * area).sum(bins)).fillna(0.0).max())
 
 
-def _albedos(lobes: BRDF, table: _Table, notes: list[str]) -> Floats:
+def _albedos(brdf: BRDF, table: _Table, notes: list[str]) -> Floats:
     """Directional albedos (rotation, incidence, channels), at most 1; linear between the measured incidences."""
-    known = lobes.measured().dataset["albedo"].sel(order="all").transpose("phi_i", "theta_i", "wavelength")
+    known = brdf.measured().dataset["albedo"].sel(order="all").transpose("phi_i", "theta_i", "wavelength")
     known = known.isel(phi_i=slice(len(table.rotation)))
-    albedo = np.empty((*table.values.shape[:2], len(lobes.wavelengths)))
+    albedo = np.empty((*table.values.shape[:2], len(brdf.wavelengths)))
     for p, channel in itertools.product(range(len(albedo)), range(albedo.shape[2])):
         albedo[p, :, channel] = np.interp(table.incidence, known["theta_i"].values, known.values[p, :, channel])
     if (albedo > 1 + 1e-6).any():
@@ -266,12 +265,12 @@ def read(path: Path) -> BRDF:
         if path.stat().st_size > LARGEST:
             raise ValueError(f"it is larger than {LARGEST >> 20} MiB")
         text = path.read_bytes().decode("utf-8", errors="replace")
-        return _lobes(text, path.name)
+        return _brdf(text, path.name)
     except (ValueError, OSError) as error:
         raise ValueError(f"{path}: not a Zemax BSDF file: {title_of(error)}") from None
 
 
-def _lobes(text: str, name: str) -> BRDF:
+def _brdf(text: str, name: str) -> BRDF:
     comments = re.findall(r"^#(.*)$", text, flags=re.MULTILINE)
     head, *rest = re.split(
         r"^[ \t]*(Monochrome|Tristimulus[XYZ])[ \t\r]*$", re.sub(r"(?m)^#.*$", "", text), flags=re.MULTILINE

@@ -2,7 +2,7 @@
 
 A basis divides the hemisphere into rings of patches; patch k of a ring of n is centred on azimuth 360 k/n. Exiting
 light is counted by the azimuth that it travels to, and incident light by the azimuth that it TRAVELS to as well: light
-from `wi` belongs to the patch around the azimuth of `-wi`, so the diagonal of a matrix is the mirror direction.
+from `wi` belongs to the patch around the azimuth of `-wi`, so the diagonal of a matrix is the specular direction.
 """
 
 from __future__ import annotations
@@ -75,19 +75,19 @@ BASES = {
 """The three bases that Radiance knows by name."""
 
 
-def matrix(lobes: BRDF, basis: AngleBasis) -> Floats:
+def matrix(brdf: BRDF, basis: AngleBasis) -> Floats:
     """Averages over pairs of patches with the weight cosθ dω on either side, (exiting, incident, channels).
 
     NaN where nothing is known.
     """
     # Four times as many entries of an anisotropic matrix have to be computed.
-    nodes = _nodes(128 if lobes.isotropic else 64)
+    nodes = _nodes(128 if brdf.isotropic else 64)
     wi, wo = basis.directions(*nodes[:2]) * (-1, -1, 1), basis.directions(*nodes[2:])
-    result = np.empty((basis.patches, basis.patches, len(lobes.wavelengths)))
+    result = np.empty((basis.patches, basis.patches, len(brdf.wavelengths)))
     # A quarter turn maps every basis onto itself.
-    turns = [basis.turned(quarters) for quarters in range(4 if lobes.isotropic else 1)]
+    turns = [basis.turned(quarters) for quarters in range(4 if brdf.isotropic else 1)]
     for i in np.flatnonzero(np.arange(basis.patches) == np.min(turns, axis=0)):
-        values = lobes.evaluate(np.broadcast_to(wi[i], wo.shape).reshape(-1, 3), wo.reshape(-1, 3))
+        values = brdf.evaluate(np.broadcast_to(wi[i], wo.shape).reshape(-1, 3), wo.reshape(-1, 3))
         column = mean_of_known(values.reshape(*wo.shape[:2], -1))
         for turn in turns:
             result[turn, turn[i]] = column

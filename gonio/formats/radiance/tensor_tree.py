@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.brdf import BRDF
-from gonio.formats.klems import mean_of_known
+from gonio.formats.radiance.klems import mean_of_known
 from gonio.formats.text import numbers
 from gonio.sphere import angles, rotate_z
 from microsurfaces.arrays import Floats, Vectors
@@ -65,15 +65,15 @@ def exiting(place: Floats) -> Vectors:
     return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(np.maximum(1 - r**2, 0.0))], axis=-1)
 
 
-def grid(lobes: BRDF, rank: int) -> Floats:
+def grid(brdf: BRDF, rank: int) -> Floats:
     """Averages over the cells with the weight cosθ dω on either side, (cells, ..., channels); NaN where unknown."""
     cells, nodes = 2 ** RESOLUTION[rank], _NODES[rank]
     wo = exiting(_places(cells, nodes[:, -2:]))
     wi = exiting(_places(cells, nodes[:, :2])) * (-1, -1, 1) if rank == 4 else _in_plane(cells, nodes[:, 0])
-    result = np.zeros((*[cells] * rank, len(lobes.wavelengths)))
+    result = np.zeros((*[cells] * rank, len(brdf.wavelengths)))
     # The half of rank 3 that is not used stays 0.
-    for light, out in zip(wi, result.reshape(-1, len(wo), len(lobes.wavelengths)), strict=False):
-        values = lobes.evaluate(np.broadcast_to(light, wo.shape).reshape(-1, 3), wo.reshape(-1, 3))
+    for light, out in zip(wi, result.reshape(-1, len(wo), len(brdf.wavelengths)), strict=False):
+        values = brdf.evaluate(np.broadcast_to(light, wo.shape).reshape(-1, 3), wo.reshape(-1, 3))
         out[:] = mean_of_known(values.reshape(*wo.shape[:2], -1))
     return result
 
