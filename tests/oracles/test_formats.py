@@ -31,9 +31,9 @@ def table():
     return chiral(*np.meshgrid(THETA_I, PHI_I, GRID.theta, GRID.dphi, WAVELENGTHS, indexing="ij"))
 
 
-def made(brdf, **attributes):
+def made(values, **attributes):
     about = {"seed": 2**40, "title": "chiral", "experiment": '{"seed": 1099511627776}', **attributes}
-    return tabulated(brdf, GRID, THETA_I, PHI_I, WAVELENGTHS, standard_error=0.01 * brdf, attributes=about)
+    return tabulated(values, GRID, THETA_I, PHI_I, WAVELENGTHS, standard_error=0.01 * values, attributes=about)
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def test_exr_tells_its_grid_and_where_it_came_from(measurement, tmp_path):
     np.testing.assert_allclose(np.diff(bounds), 15.0)
     # One number a row, for 24 columns: together the projected hemisphere.
     assert 24 * sum(about["projected_solid_angle"]) == pytest.approx(np.pi, rel=1e-14)
-    assert "180 the mirror's" in parts["theta_i010.0_phi_i250.0"].header["comments"]
+    assert "180 the specular side" in parts["theta_i010.0_phi_i250.0"].header["comments"]
 
 
 def test_exr_loads_as_it_was(measurement, tmp_path):
@@ -111,7 +111,7 @@ def test_exr_in_colour(tmp_path):
 
 
 def lobe(wi, wo):
-    """A soft lobe about the mirror direction turned by 30 degrees: chiral, and brighter for light from phi = 40."""
+    """A soft lobe about the specular direction turned by 30 degrees: chiral, and brighter for light from phi = 40."""
     aim = rotate_z(reflect(wi, [0.0, 0.0, 1.0]), 30.0)
     return (np.exp(6 * ((aim * wo).sum(axis=-1) - 1)) * (1.2 + np.cos(np.radians(angles(wi)[1] - 40))))[:, None]
 
@@ -135,13 +135,13 @@ def test_exr_discs_are_pictures_from_above(tmp_path):
 
 
 def test_incomplete_measurements_export_what_they_know(tmp_path):
-    brdf = table()
-    brdf[1, 1] = np.nan
-    exported = gonio.export(made(brdf), tmp_path / "lobe.exr")
+    values = table()
+    values[1, 1] = np.nan
+    exported = gonio.export(made(values), tmp_path / "lobe.exr")
     assert gonio.load(exported.path).dataset["theta_i"].values.tolist() == [10.0]
     assert exported.notes[0].startswith("2 incidences are left out")
     with pytest.raises(ValueError, match="nothing to export"):
-        gonio.export(made(np.full_like(brdf, np.nan)), tmp_path / "nothing.exr")
+        gonio.export(made(np.full_like(values, np.nan)), tmp_path / "nothing.exr")
     assert len(list(tmp_path.iterdir())) == 1
 
 

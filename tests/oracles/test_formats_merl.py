@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from readers.merl import SCALES, pair_of_bin, stored
 
 from gonio.brdf import BRDF
 from gonio.colour import PRIMARIES
 from gonio.formats import merl
 from gonio.sphere import angles, direction
 
-SCALES = (1 / 1500, 1.15 / 1500, 1.66 / 1500)
 GAINS = np.array([1.0, 0.5, 0.25])
 
 
@@ -25,44 +25,14 @@ def handed(wi, wo):
 
 
 def one_way(wi, wo):
-    """Chiral and not reciprocal: bright where the mirror direction is turned by 30 degrees."""
+    """Chiral and not reciprocal: bright where the specular direction is turned by 30 degrees."""
     c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
     axis = np.stack([-c * wi[:, 0] + s * wi[:, 1], -s * wi[:, 0] - c * wi[:, 1], wi[:, 2]], axis=1)
     return (0.1 + wi[:, 2] * (1 + (axis * wo).sum(axis=1)) ** 2)[:, None] * GAINS
 
 
-def lobes(function, theta_i=(0.0, 45.0, 89.0), **more):
+def brdf_of(function, theta_i=(0.0, 45.0, 89.0), **more):
     return BRDF(function, np.array(PRIMARIES), np.array(theta_i), basis="RGB", **more)
-
-
-def pair_of_bin(i, j, k):
-    """The directions at fractional bin numbers: theta_h = (i/90)² 90, theta_d = j, phi_d = k degrees, phi_h = 0."""
-    h, d, p = math.radians((i / 90) ** 2 * 90), math.radians(j), math.radians(k)
-    about = (math.sin(d) * math.cos(p), math.sin(d) * math.sin(p), math.cos(d))
-    opposite = (-about[0], -about[1], about[2])
-    return tuple(
-        (math.cos(h) * x + math.sin(h) * z, y, -math.sin(h) * x + math.cos(h) * z) for x, y, z in (about, opposite)
-    )
-
-
-def stored(content, wi, wo, phi_bins=180):
-    """What the published reader finds in a file's bytes for light from `wi` seen from `wo`: R, G, B, not scaled."""
-    total = [a + b for a, b in zip(wi, wo, strict=True)]
-    length = math.sqrt(sum(x * x for x in total))
-    half = [x / length for x in total]
-    theta_h, phi_h = math.acos(min(1.0, half[2])), math.atan2(half[1], half[0])
-    # wi turned by -phi_h about the normal, then by -theta_h about the binormal y.
-    x = math.cos(phi_h) * wi[0] + math.sin(phi_h) * wi[1]
-    y = -math.sin(phi_h) * wi[0] + math.cos(phi_h) * wi[1]
-    x, z = math.cos(theta_h) * x - math.sin(theta_h) * wi[2], math.sin(theta_h) * x + math.cos(theta_h) * wi[2]
-    theta_d, phi_d = math.acos(min(1.0, z)), math.atan2(y, x)
-    if phi_d < 0:
-        phi_d += math.pi if phi_bins == 180 else 2 * math.pi
-    row = min(89, int(math.sqrt(theta_h / (math.pi / 2)) * 90))
-    column = min(89, int(theta_d / (math.pi / 2) * 90))
-    last = min(phi_bins - 1, int(phi_d / math.pi * 180))
-    place = last + phi_bins * (column + 90 * row)
-    return [struct.unpack_from("<d", content, 12 + 8 * (place + c * 90 * 90 * phi_bins))[0] for c in range(3)]
 
 
 def pairs(count, seed=0):
@@ -81,14 +51,14 @@ def folder(tmp_path_factory):
 def centred(folder):
     """`handed`, chiral and reciprocal."""
     path = folder / "handed.binary"
-    return path, merl.write(lobes(handed), path)
+    return path, merl.write(brdf_of(handed), path)
 
 
 @pytest.fixture(scope="module")
 def averaged(folder):
     """`one_way`, which is not reciprocal."""
     path = folder / "one_way.binary"
-    return path, merl.write(lobes(one_way), path)
+    return path, merl.write(brdf_of(one_way), path)
 
 
 def test_the_file_is_as_long_and_begins_as_it_should(centred):
@@ -156,7 +126,7 @@ def test_reading_is_what_the_published_reader_does(averaged):
     # An albedo through the whole of the reading: the mean of both ways, over the hemisphere.
     wi = direction(30.0, 0.0)
     albedo = (found.average(wi, found.detector) * found.detector.projected_solid_angles()[:, None]).sum(axis=0)
-    other = lobes(lambda wi, wo: (one_way(wi, wo) + one_way(wo, wi)) / 2)
+    other = brdf_of(lambda wi, wo: (one_way(wi, wo) + one_way(wo, wi)) / 2)
     expected = (other.average(wi, found.detector) * found.detector.projected_solid_angles()[:, None]).sum(axis=0)
     np.testing.assert_allclose(albedo, expected, rtol=1e-3)
 
@@ -195,7 +165,7 @@ def test_edges_are_the_lower_ones_and_known_incidences_come_first(folder):
         return np.where(angles(wi)[0] <= 60.0001, handed(wi, wo).T, 99.0).T
 
     path = folder / "edge.binary"
-    notes = merl.write(lobes(known_to_60, theta_i=(0.0, 60.0)), path, sample="edge")
+    notes = merl.write(brdf_of(known_to_60, theta_i=(0.0, 60.0)), path, sample="edge")
     assert any("beyond 60 degrees" in note for note in notes)
     content = path.read_bytes()
     for i, j, k in np.random.default_rng(7).integers((0, 1, 0), (60, 45, 180), (500, 3)):
@@ -222,7 +192,7 @@ def test_colours_that_srgb_does_not_have_are_cut_and_counted(folder):
 
 def test_an_anisotropic_brdf_is_refused_with_advice(folder):
     with pytest.raises(ValueError, match='azimuth = "average"'):
-        merl.write(lobes(handed, isotropic=False, phi_i=np.array([0.0, 90.0])), folder / "never.binary")
+        merl.write(brdf_of(handed, isotropic=False, phi_i=np.array([0.0, 90.0])), folder / "never.binary")
     assert not (folder / "never.binary").exists()
 
 

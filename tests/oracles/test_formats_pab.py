@@ -1,31 +1,22 @@
 """PAB-Opto files: Radiance makes the right BSDF of them, and sets of other origin are read as they are meant."""
 
 import contextlib
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from readers.radiance import query, run
 
 from gonio.brdf import BRDF
 from gonio.detectors import HemisphereGrid
 from gonio.formats import pab
-from gonio.sphere import angles, direction, rotate_z
+from gonio.formats.radiance.colours import WHITE
+from gonio.sphere import direction, rotate_z
 
 COLOURS = np.array([450.0, 550.0, 650.0])
 GAINS = np.array([0.5, 0.8, 1.0])
 GRID = HemisphereGrid(theta_step=10.0, phi_step=15.0)
-
-QUERIES = """
-import sys, numpy
-from pyradiance import bsdf
-data = bsdf.load_file(sys.argv[1])
-numpy.save(sys.argv[3], [bsdf.query(data, *place) for place in numpy.load(sys.argv[2]).tolist()])
-"""
 
 
 def lobe(wo, axis):
@@ -33,7 +24,7 @@ def lobe(wo, axis):
 
 
 def chiral(wi, wo):
-    """The mirror direction turned by 30 degrees."""
+    """The specular direction turned by 30 degrees."""
     return (0.02 + lobe(wo, rotate_z(wi * (-1, -1, 1), 30.0)))[:, None] * GAINS
 
 
@@ -55,29 +46,29 @@ SOURCES = {
 }
 
 
-def values_of(lobes):
-    return lobes.measured().dataset["brdf"].sel(order="all").values
+def values_of(brdf):
+    return brdf.measured().dataset["brdf"].sel(order="all").values
 
 
 @pytest.mark.parametrize("source", SOURCES)
 def test_a_set_comes_back_as_it_was(tmp_path, source):
-    lobes = SOURCES[source]
+    brdf = SOURCES[source]
     path = tmp_path / "set.pab"
-    notes = pab.write(lobes, path)
-    count = len(lobes.theta_i) * len(lobes.phi_i)
+    notes = pab.write(brdf, path)
+    count = len(brdf.theta_i) * len(brdf.phi_i)
     names = path.read_text().split()
     assert len(names) == len(set(names)) == count
     assert sorted(file.name for file in tmp_path.iterdir()) == sorted([*names, "set.pab"])
     assert notes == [f"set.pab lists the files of the {count} incidences, {names[0]} and so on"]
     found = pab.read(path)
     assert (found.basis, found.isotropic, found.detector) == ("XYZ", source == "isotropic", GRID)
-    np.testing.assert_array_equal(found.theta_i, lobes.theta_i)
-    np.testing.assert_array_equal(found.phi_i, lobes.phi_i)
-    np.testing.assert_allclose(values_of(found), values_of(lobes.in_basis("XYZ")), rtol=1e-5)
+    np.testing.assert_array_equal(found.theta_i, brdf.theta_i)
+    np.testing.assert_array_equal(found.phi_i, brdf.phi_i)
+    np.testing.assert_allclose(values_of(found), values_of(brdf.in_basis("XYZ")), rtol=1e-5)
 
 
 def test_a_file_is_what_the_format_says(tmp_path):
-    lobes = BRDF(
+    brdf = BRDF(
         lambda wi, wo: anisotropic(wi, wo)[:, 1:2],
         np.array([550.0]),
         np.array([30.0]),
@@ -86,7 +77,7 @@ def test_a_file_is_what_the_format_says(tmp_path):
         detector=HemisphereGrid(theta_step=2.0, phi_step=2.0),
         attributes={"title": 'a "quoted"\n#title'},
     )
-    pab.write(lobes, tmp_path / "one.pab")
+    pab.write(brdf, tmp_path / "one.pab")
     file = tmp_path / "one_theta_i030.0_phi_i250.25.pab"
     lines = file.read_text().splitlines()
     assert lines[:6] == [
@@ -98,22 +89,22 @@ def test_a_file_is_what_the_format_says(tmp_path):
         "#upphi 90",
     ]
     theta, phi, values = np.loadtxt(file).T
-    assert len(values) == lobes.detector.bins
-    expected = lobes.evaluate(np.tile(direction(30.0, 250.25), (len(phi), 1)), direction(theta, phi))[:, 0]
+    assert len(values) == brdf.detector.bins
+    expected = brdf.evaluate(np.tile(direction(30.0, 250.25), (len(phi), 1)), direction(theta, phi))[:, 0]
     away = theta > 0
     np.testing.assert_allclose(values[away], expected[away], rtol=0.02, atol=0.002)
 
 
 def test_a_lambertian_reads_its_albedo_over_pi_and_grey_is_grey(tmp_path):
     for channels in (1, 3):
-        lobes = BRDF(
+        brdf = BRDF(
             lambda wi, wo, channels=channels: np.full((len(wi), channels), 0.5 / np.pi),
             COLOURS[:channels],
             np.array([0.0, 45.0]),
             detector=GRID,
         )
         path = tmp_path / f"white{channels}.pab"
-        pab.write(lobes, path)
+        pab.write(brdf, path)
         rows = np.loadtxt(tmp_path / path.read_text().split()[1])
         np.testing.assert_allclose(rows[:, 2:], 0.5 / np.pi, rtol=1e-4)
         assert rows.shape[1] == 2 + channels
@@ -124,41 +115,25 @@ def test_a_lambertian_reads_its_albedo_over_pi_and_grey_is_grey(tmp_path):
 
 @pytest.mark.parametrize(("source", "incident"), [("isotropic", (10.0, 50.0)), ("anisotropic", (10.0, 50.0))])
 def test_radiance_makes_the_right_bsdf_of_a_set(tmp_path, source, incident):
-    pyradiance = pytest.importorskip("pyradiance")
-    programs = Path(pyradiance.__file__).parent
-    environment = {**os.environ, "RAYPATH": f".:{programs / 'lib'}", "PATH": f"{programs / 'bin'}:{os.environ['PATH']}"}
-
-    def run(output, *command):
-        done = subprocess.run(
-            [programs / "bin" / command[0], *command[1:]],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            timeout=100,
-            check=True,
-        )
-        (tmp_path / output).write_bytes(done.stdout)
-
-    lobes = SOURCES[source]
-    pab.write(lobes, tmp_path / "set.pab")
-    run("set.sir", "pabopto2bsdf", "-s", source, *(tmp_path / "set.pab").read_text().split())
-    run("set.xml", "bsdf2klems", "-h", "-n", "32", "set.sir")
+    pytest.importorskip("pyradiance")
+    brdf = SOURCES[source]
+    pab.write(brdf, tmp_path / "set.pab")
+    names = (tmp_path / "set.pab").read_text().split()
+    (tmp_path / "set.sir").write_text(run(tmp_path, "pabopto2bsdf", "-s", source, *names))
+    (tmp_path / "set.xml").write_text(run(tmp_path, "bsdf2klems", "-h", "-n", "32", "set.sir"))
     random = np.random.default_rng(0)
     wi = direction(random.uniform(*incident, 1500), random.uniform(0, 360, 1500))
     wo = direction(np.degrees(np.arcsin(np.sqrt(random.random(1500)))), random.uniform(0, 360, 1500))
-    np.save(tmp_path / "places.npy", np.stack([*angles(wi), *angles(wo)], axis=1))
-    command = [sys.executable, "-c", QUERIES, "set.xml", "places.npy", "found.npy"]
-    subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
-    found = np.load(tmp_path / "found.npy")
+    found, _ = query(tmp_path / "set.xml", wi, wo)
     flip = np.array([1, -1, 1])
 
     def likeness(wi, wo):
-        return np.corrcoef(found[:, 1], lobes.evaluate(wi, wo)[:, 1])[0, 1]
+        return np.corrcoef(found[:, 1], brdf.evaluate(wi, wo)[:, 1])[0, 1]
 
     assert likeness(wi, wo) > 0.85
     for wrong in (likeness(wi * flip, wo * flip), likeness(wo, wi), likeness(wi, wo * (-1, -1, 1))):
         assert wrong < 0.6
-    colour = lobes.in_basis("XYZ").evaluate(wi[:1], wo[:1])[0] / pab.WHITE
+    colour = brdf.in_basis("XYZ").evaluate(wi[:1], wo[:1])[0] / WHITE
     hue = found.sum(axis=0) / found.sum()
     np.testing.assert_allclose(hue, colour / colour.sum(), atol=0.02)
 
@@ -217,9 +192,9 @@ def test_what_is_not_known_has_no_line(tmp_path):
         return np.where(wo[:, 2:] < np.cos(np.radians(45.0)), 1.0, np.nan)
 
     path = tmp_path / "holes.pab"
-    lobes = BRDF(above_45, np.array([550.0]), np.array([0.0, 30.0]), detector=GRID)
+    brdf = BRDF(above_45, np.array([550.0]), np.array([0.0, 30.0]), detector=GRID)
     # Of the cap, eight rings of 10 degrees and half a one, those up to 45 degrees hold nothing.
-    assert pab.write(lobes, path)[1].startswith("50.00% of the bins")
+    assert pab.write(brdf, path)[1].startswith("50.00% of the bins")
     values = values_of(pab.read(path))
     assert np.isnan(values[:, :, :5]).all()
     assert (values[:, :, 5:] == 1).all()

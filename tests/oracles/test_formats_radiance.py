@@ -1,38 +1,26 @@
 """Radiance's BSDF files: Radiance itself reads what is written here, and what it writes is read as it reads it."""
 
-import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from readers.radiance import query, run
 
 from gonio.brdf import BRDF
-from gonio.formats import klems, radiance, tensor_tree
+from gonio.formats import radiance
+from gonio.formats.radiance import klems, reading, tensor_tree, writing
+from gonio.formats.radiance.colours import WHITE
 from gonio.formats.text import numbers
-from gonio.sphere import angles, direction, half_vector, rotate_z
+from gonio.sphere import direction, half_vector, rotate_z
 
-pyradiance = pytest.importorskip("pyradiance")
+pytest.importorskip("pyradiance")
 
-PROGRAMS = Path(pyradiance.__file__).parent
 VARIANTS = ("klems-full", "klems-half", "klems-quarter", "tensor3", "tensor4")
 COLOURS = np.array([450.0, 550.0, 650.0])
 GAINS = np.array([0.5, 0.8, 1.0])
 THETA_I = np.arange(0.0, 90.0, 5.0)
-
-QUERIES = """
-import sys, numpy
-from pyradiance import bsdf
-data = bsdf.load_file(sys.argv[1])
-places = numpy.load(sys.argv[2])
-values = [bsdf.query(data, *place) for place in places.tolist()]
-totals = [bsdf.direct_hemi(data, *place[:2], bsdf.SAMPLE_ALL) for place in places[:100].tolist()]
-numpy.savez(sys.argv[2] + ".npz", values=values, totals=totals)
-"""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -48,7 +36,7 @@ def lobe(wo, axis, sharpness=15.0):
 
 
 def chiral(wi, wo):
-    """The mirror direction turned by 30 degrees; neither mirror symmetric nor reciprocal."""
+    """The specular direction turned by 30 degrees; neither mirror symmetric nor reciprocal."""
     return (0.02 + lobe(wo, rotate_z(wi * (-1, -1, 1), 30.0)))[:, None] * GAINS
 
 
@@ -80,26 +68,6 @@ def pairs(count=1500, seed=0):
     return direction(theta[0], 360 * random[2]), direction(theta[1], 360 * random[3])
 
 
-def query(path, wi, wo):
-    """XYZ of Radiance at pairs of directions, and the hemispherical reflectances of the first hundred.
-
-    In a process of its own: loading a second file, or freeing the first, may end it.
-    """
-    places = path.with_suffix(".npy")
-    np.save(places, np.stack([*angles(wi), *angles(wo)], axis=1))
-    subprocess.run([sys.executable, "-c", QUERIES, path, places], check=True, timeout=60)
-    with np.load(f"{places}.npz") as found:
-        return found["values"], found["totals"]
-
-
-def run(folder, *command, **options):
-    """The output of one of Radiance's programs."""
-    environment = {**os.environ, "RAYPATH": f".:{PROGRAMS / 'lib'}", "PATH": f"{PROGRAMS / 'bin'}:{os.environ['PATH']}"}
-    command = [PROGRAMS / "bin" / command[0], *command[1:]]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=60, check=True, **options)
-    return done.stdout.decode()
-
-
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     """The files of all cases, made when first asked for, with what was said about them."""
@@ -128,7 +96,7 @@ def test_radiance_and_we_read_the_same(written, source, variant):
     # Radiance's own ripple; with a Lambertian part that it has split off, a little more.
     np.testing.assert_allclose(theirs[:, 1], ours[:, 1 if found.basis == "XYZ" else 0], rtol=4e-4)
     if found.basis == "XYZ":
-        ours = ours / radiance.WHITE
+        ours = ours / WHITE
         hue = np.abs(ours / ours.sum(axis=1, keepdims=True) - theirs / theirs.sum(axis=1, keepdims=True)).max()
         # Matrices keep chromaticities in a byte each.
         assert hue < (0.015 if variant.startswith("klems") else 1e-4)
@@ -264,7 +232,7 @@ def test_colours_of_a_rank_3_tree_are_written_if_radiance_can_read_them(written,
     assert not radiance.write(BRDF(without_floor, COLOURS, THETA_I), path, "tensor3")
     wi, wo = pairs(500)
     values, _ = query(path, wi, wo)
-    ours = radiance.read(path).evaluate(wi, wo) / radiance.WHITE
+    ours = radiance.read(path).evaluate(wi, wo) / WHITE
     bright = values[:, 1] > 0.01
     np.testing.assert_allclose(values[bright], ours[bright], rtol=3e-3)
 
@@ -358,7 +326,7 @@ def test_the_angle_basis_is_what_the_file_says(tmp_path):
     basis = klems.AngleBasis("LBNL/Klems Half", edges, counts)
     numbered = np.arange(73.0)[:, None] + np.zeros(73)
     path = tmp_path / "old.xml"
-    path.write_text(radiance._document("old", radiance._matrix_frame(basis), {"Visible": numbered}))
+    path.write_text(writing._document("old", writing._matrix_frame(basis), {"Visible": numbered}))
     found = radiance.read(path)
     wo = direction([0.0, 62.0, 80.0, 80.0], [0.0, 0.0, 44.0, 46.0])
     np.testing.assert_array_equal(found.evaluate(direction(np.full(4, 30.0), 0.0), wo)[:, 0], [0, 57, 69, 70])
@@ -463,7 +431,7 @@ def test_other_files_are_refused_in_one_sentence(tmp_path, content, message):
 def test_a_huge_file_is_not_even_opened(tmp_path):
     path = tmp_path / "huge.xml"
     with path.open("wb") as file:
-        file.truncate(radiance.LARGEST + 1)
+        file.truncate(reading.LARGEST + 1)
     with pytest.raises(ValueError, match="100 million bytes"):
         radiance.read(path)
 
