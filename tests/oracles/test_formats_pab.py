@@ -119,8 +119,8 @@ def test_radiance_makes_the_right_bsdf_of_a_set(tmp_path, source, incident):
     brdf = SOURCES[source]
     pab.write(brdf, tmp_path / "set.pab")
     names = (tmp_path / "set.pab").read_text().split()
-    (tmp_path / "set.sir").write_text(run(tmp_path, "pabopto2bsdf", "-s", source, *names))
-    (tmp_path / "set.xml").write_text(run(tmp_path, "bsdf2klems", "-h", "-n", "32", "set.sir"))
+    (tmp_path / "set.sir").write_bytes(run(tmp_path, "pabopto2bsdf", "-s", source, *names))
+    (tmp_path / "set.xml").write_bytes(run(tmp_path, "bsdf2klems", "-h", "-n", "32", "set.sir"))
     random = np.random.default_rng(0)
     wi = direction(random.uniform(*incident, 1500), random.uniform(0, 360, 1500))
     wo = direction(np.degrees(np.arcsin(np.sqrt(random.random(1500)))), random.uniform(0, 360, 1500))

@@ -171,7 +171,9 @@ def test_the_matrix_is_the_one_that_radiance_makes_of_the_function(tmp_path):
         "towards(ix,iy,iz,ox,oy,oz) : (-.8660254038*ix + .5*iy)*ox + (-.5*ix - .8660254038*iy)*oy + iz*oz;\n"
         "chiral(ix,iy,iz,ox,oy,oz) : .02 + exp(-15*(1 - towards(ix,iy,iz,ox,oy,oz)));\n"
     )
-    theirs = run(tmp_path, "bsdf2klems", "-q", "-n", "256", "-forward", "+backward", "-f", "chiral.cal", "chiral")
+    theirs = run(
+        tmp_path, "bsdf2klems", "-q", "-n", "256", "-forward", "+backward", "-f", "chiral.cal", "chiral"
+    ).decode()
     radiance.write(
         BRDF(lambda wi, wo: chiral(wi, wo)[:, 2:], np.array([550.0]), THETA_I), tmp_path / "ours.xml", "klems-quarter"
     )
@@ -198,7 +200,7 @@ def test_hemispherical_reflectances_are_those_of_the_source(written, variant):
 def test_what_is_reciprocal_stays_reciprocal(written, variant):
     """Radiance's own check; its tree samples random directions, which may fall into different cells."""
     for source, most in (("reciprocal", 0.1), ("chiral", 100.0)):
-        report = run(".", "checkBSDF", written(source, variant)[0])
+        report = run(".", "checkBSDF", written(source, variant)[0]).decode()
         line = re.search(r"Reciprocity Error.*\n\S+ Refl\s+(\S+)\s+(\S+)\s+(\S+)", report)
         average = float(line[2])
         assert average <= most
@@ -244,7 +246,7 @@ def test_nested_trees_are_read_as_radiance_reads_them(tmp_path, rank):
     )
     path = tmp_path / "nested.xml"
     options = ("-forward", "+backward", f"-t{rank}", "-g", "4", "-f", "f.cal", "f")
-    path.write_text(run(tmp_path, "bsdf2ttree", *options))
+    path.write_bytes(run(tmp_path, "bsdf2ttree", *options))
     assert path.read_text().count("{") > 100
     wi, wo = pairs()
     values, _ = query(path, wi, wo)
@@ -254,7 +256,7 @@ def test_nested_trees_are_read_as_radiance_reads_them(tmp_path, rank):
 def test_what_rttree_reduce_prunes_is_still_the_lobe(written, tmp_path):
     path, _ = written("chiral", "tensor3")
     head, grid, tail = re.split("[{}]", path.read_text())
-    pruned = run(tmp_path, "rttree_reduce", "-h", "-fa", "-r", "3", "-g", "6", "-t", "80", input=grid.encode())
+    pruned = run(tmp_path, "rttree_reduce", "-h", "-fa", "-r", "3", "-g", "6", "-t", "80", input=grid.encode()).decode()
     small = tmp_path / "pruned.xml"
     small.write_text(head + pruned + tail)
     assert small.stat().st_size < path.stat().st_size * 0.6

@@ -33,11 +33,11 @@ def query(path, wi, wo):
 
 
 def run(folder, *command, **options):
-    """The output of one of Radiance's programs."""
+    """What one of Radiance's programs puts out, as bytes."""
     import pyradiance
 
     programs = Path(pyradiance.__file__).parent
     environment = {**os.environ, "RAYPATH": f".:{programs / 'lib'}", "PATH": f"{programs / 'bin'}:{os.environ['PATH']}"}
     command = [programs / "bin" / command[0], *command[1:]]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=100, check=True, **options)
-    return done.stdout.decode()
+    return done.stdout
