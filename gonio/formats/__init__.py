@@ -1,7 +1,7 @@
 """Foreign files in and out, one format a file: `FORMATS` maps a name to what writes it and what reads it.
 
-Every format is a pair of functions: `write(lobes, path)` fills a file from a `BRDF`, `read(path)` makes one
-of a file, evaluated as the programs that open it do. Reading back what was written tells what the conversion cost.
+Every format is a pair of functions: `write(brdf, path)` fills a file from a `BRDF`, `read(path)` makes one of a
+file, evaluated as the programs that open it do. Reading back what was written tells what the conversion cost.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
 
+from numpy.typing import ArrayLike
+
+from gonio import netcdf
+from gonio.brdf import BRDF, Function
+from gonio.formats.loss import Loss
+from gonio.measurement import Measurement
+from gonio.models import Model
 from microsurfaces.recipe import did_you_mean
-
-if TYPE_CHECKING:
-    from gonio.brdf import BRDF
-    from gonio.formats.loss import Loss
-    from gonio.measurement import Measurement
 
 
 @dataclass(frozen=True)
@@ -36,15 +37,15 @@ class Format:
     options: Mapping[str, object]
     """Further arguments of its `write`."""
 
-    def write(self, lobes: BRDF, path: Path) -> Sequence[str]:
-        """Fill `path` from `lobes`; sentences about what had to be bent."""
-        notes: Sequence[str] = self._home.write(lobes, path, **self.options)
+    def write(self, brdf: BRDF, path: Path) -> Sequence[str]:
+        """Fill `path` from `brdf`; sentences about what had to be bent."""
+        notes: Sequence[str] = self._home.write(brdf, path, **self.options)
         return notes
 
     def read(self, path: Path) -> BRDF:
         """The BRDF in such a file; raises ValueError in one sentence for what is none."""
-        lobes: BRDF = self._home.read(path)
-        return lobes
+        brdf: BRDF = self._home.read(path)
+        return brdf
 
     @property
     def page(self) -> str:
@@ -98,27 +99,29 @@ class Exported:
     @functools.cached_property
     def loss(self) -> Loss:
         """How far the file, read back, is from the source on the source's own incidences and bins."""
-        from gonio.formats.loss import Loss
-
         return Loss.between(self.source, self.format.read(self.path))
 
 
-def export(measurement: Measurement | BRDF, path: str | os.PathLike[str], format: str | None = None) -> Exported:
-    """Write `measurement` in a foreign format.
+def export(
+    source: Measurement | BRDF | Model | Function,
+    path: str | os.PathLike[str],
+    format: str | None = None,
+    wavelengths: ArrayLike | None = None,
+) -> Exported:
+    """Write a measurement, a model, a Python function or any other `BRDF` in a foreign format.
 
-    The suffix of `path` decides, or `format`, a name in `FORMATS`. Nothing is left behind if the writing fails. Raises
-    ValueError for a format that is not in `FORMATS` or cannot hold this measurement, OSError where nothing can be
-    written.
+    The suffix of `path` decides, or `format`, a name in `FORMATS`. A model and a function are written for `wavelengths`
+    in nm, 450, 550 and 650 if left out. Nothing is left behind if the writing fails. Raises ValueError for a format
+    that is not in `FORMATS` or cannot hold this BRDF, OSError where nothing can be written.
 
     >>> gonio.export(measurement, "gold.exr").loss.sentence()  # doctest: +SKIP
+    >>> gonio.export(gonio.CookTorrance(m=0.3, material=gonio.Conductor("Au")), "gold.bsdf")  # doctest: +SKIP
     """
-    from gonio.brdf import BRDF
-
     path = Path(path)
     chosen = FORMATS[_name(path, format)]
-    source = measurement if isinstance(measurement, BRDF) else BRDF.of(measurement)
-    left_out = () if isinstance(measurement, BRDF) else _left_out(measurement, source)
-    return Exported(path, (*left_out, *chosen.write(source, path)), source, chosen)
+    brdf = BRDF.of(source, wavelengths)
+    left_out = _left_out(source, brdf) if isinstance(source, Measurement) else ()
+    return Exported(path, (*left_out, *chosen.write(brdf, path)), brdf, chosen)
 
 
 def _left_out(measurement: Measurement, source: BRDF) -> tuple[str, ...]:
@@ -130,11 +133,9 @@ def _left_out(measurement: Measurement, source: BRDF) -> tuple[str, ...]:
 def load(path: str | os.PathLike[str], format: str | None = None) -> Measurement:
     """Read a measurement: one that `gonio.save` wrote (.nc), or a foreign file of a format in `FORMATS`.
 
-    The suffix decides, or `format`. Foreign files become measurements without sums and ledger, sampled at incidences
-    and bins that suit them. Raises ValueError in one sentence for anything else.
+    The suffix decides, or `format`. Foreign files become measurements without sums and energy budget, sampled at
+    incidences and bins that suit them. Raises ValueError in one sentence for anything else.
     """
-    from gonio import netcdf
-
     path = Path(path)
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file")
