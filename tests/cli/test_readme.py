@@ -143,6 +143,12 @@ def test_commands_are_commands(path, capsys):
     capsys.readouterr()
 
 
+@pytest.mark.parametrize("page", ["models.md", "surfaces.md"])
+def test_examples_of_other_pages_run(page, tmp_path):
+    (code,) = blocks(ROOT / "docs" / page)
+    assert run(code, tmp_path)
+
+
 # --- Extending --------------------------------------------------------------------------------------------------------
 
 
