@@ -1,4 +1,4 @@
-"""The albedo atlas beside Smith's models: `python docs/atlas_table.py out/albedo_atlas` renews the README's table.
+"""The albedo atlas beside Smith's models: `python docs/atlas_table.py out/albedo_atlas` renews docs/models.md.
 
 Single scattering is Microfacet with Smith's height-correlated masking, more is SmithMultipleScattering; both with
 Beckmann's distribution of the nominal alpha. Standard errors of all are in the table.
@@ -16,7 +16,7 @@ from gonio.models import Beckmann, SmithMultipleScattering
 from gonio.optics import Conductor, Mirror
 from gonio.sphere import direction
 
-README = Path(__file__).parents[1] / "README.md"
+PAGE = Path(__file__).with_name("models.md")
 START, END = "<!-- docs/atlas_table.py -->\n", "<!-- end -->"
 ALPHAS, THETAS = (0.1, 0.3, 0.5, 0.7, 1.0), (0.0, 45.0, 75.0, 85.0)
 HEAD = (
@@ -69,6 +69,6 @@ def _with_error(value: float, error: float) -> str:
 
 if __name__ == "__main__":
     rows = table(gonio.open_campaign(sys.argv[1]))
-    text = README.read_text(encoding="utf-8")
-    README.write_text(re.sub(f"{START}.*?{END}", lambda _: START + rows + END, text, flags=re.S), encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8")
+    PAGE.write_text(re.sub(f"{START}.*?{END}", lambda _: START + rows + END, text, flags=re.S), encoding="utf-8")
     print(rows)
