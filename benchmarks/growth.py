@@ -222,7 +222,7 @@ def stages() -> dict[str, float]:
     script = """
 import json, time
 marks = [time.perf_counter()]
-import gonio, gonio.certificate, gonio.experiment, gonio.cli
+import gonio, gonio.self_check, gonio.experiment, gonio.cli
 gonio.Experiment, gonio.save, gonio.Scene, gonio.Goniometer
 import xarray, h5netcdf
 marks.append(time.perf_counter())
@@ -246,7 +246,7 @@ print(json.dumps([b - a for a, b in zip(marks, marks[1:])]))
         "imports": imports,
         "surface and set-up, kernels loaded": built,
         "first measurement, kernels loaded": first,
-        "measurement again, certificate": whole,
+        "measurement again, self-check": whole,
         "save": saved,
     }
 

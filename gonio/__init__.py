@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gonio.models import CookTorrance, Lambert, Microfacet
     from gonio.netcdf import save
     from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
-    from gonio.self_check import certify
+    from gonio.self_check import check
     from gonio.sphere import direction
     from gonio.toml_files import InputError
     from gonio.transport.scene import Scene
@@ -52,7 +52,7 @@ _HOME = {
     "Mirror": "gonio.optics",
     "Scene": "gonio.transport.scene",
     "Comparison": "gonio.comparison",
-    "certify": "gonio.self_check",
+    "check": "gonio.self_check",
     "compare": "gonio.comparison",
     "export": "gonio.formats",
     "fit": "gonio.fitting",
@@ -84,7 +84,7 @@ __all__ = [
     "Mirror",
     "Scene",
     "__version__",
-    "certify",
+    "check",
     "compare",
     "direction",
     "export",

@@ -16,7 +16,7 @@ from gonio.html_drawing import plane_of_incidence
 from gonio.measurement import Measurement
 from gonio.models.specimen import Specimen, model_class
 from gonio.optics import Conductor, Dielectric, Material, index_table
-from gonio.self_check import certify
+from gonio.self_check import check
 from gonio.tally import MAX_PATHS
 from gonio.toml_files import InputError, kind_first, override_value, read_toml, resolve_paths
 from gonio.transport.scene import Scene
@@ -169,7 +169,7 @@ class Experiment:
         return self.described(merged, merged.interrupted)
 
     def described(self, measurement: Measurement, interrupted: bool) -> Measurement:
-        """The measurement with its provenance (this experiment, what made it) and its certificate."""
+        """The measurement with its provenance (this experiment, what made it) and its self-check report."""
         provenance = {
             "title": self.title or measurement.attributes["title"],
             "experiment": json.dumps(self.to_dict()),
@@ -178,8 +178,8 @@ class Experiment:
             "interrupted": int(interrupted),
         }
         described = replace(measurement, attributes=measurement.attributes | provenance)
-        certificate = {"certificate": certify(described).to_json()}
-        return replace(described, attributes=described.attributes | certificate)
+        report = {"self_check": check(described).to_json()}
+        return replace(described, attributes=described.attributes | report)
 
     def light_seed(self, realisation: int = 0) -> int:
         """The seed of the light that falls on specimen number `realisation`."""

@@ -302,8 +302,8 @@ def _merged_attributes(a: Measurement, b: Measurement) -> dict[str, Any]:
     pooled = {"surface_statistics": json.dumps(mean)}
     if a.facets is not None and b.facets is not None:
         pooled["facets"] = json.dumps(a.facets.pooled(b.facets, n, m).as_dict())
-    # A certificate speaks of what it was made for.
-    kept = {name: value for name, value in a.attributes.items() if name != "certificate"}
+    # A self-check report speaks of the measurement that it was made for.
+    kept = {name: value for name, value in a.attributes.items() if name != "self_check"}
     return {**kept, **flags, **pooled}
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from gonio.fitting import Fit, Ranked
     from gonio.measurement import Measurement
     from gonio.models import Model
-    from gonio.self_check import Certificate
+    from gonio.self_check import SelfCheckReport
     from gonio.validation import Row
 
 MOST_ROWS = 40
@@ -230,7 +230,7 @@ def ranked(rows: Iterable[Ranked]) -> Table:
 # --- Judgements -------------------------------------------------------------------------------------------------------
 
 
-def checks(found: Certificate) -> Table:
+def checks(found: SelfCheckReport) -> Table:
     """Every self-check, how it ended and what was found."""
     table = _headed("check", "", "found")
     table.columns[1].no_wrap = table.columns[0].no_wrap = True

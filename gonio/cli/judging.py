@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from gonio.comparison import Comparison
     from gonio.measurement import Measurement
     from gonio.models import Model
-    from gonio.self_check import Certificate
+    from gonio.self_check import SelfCheckReport
 
 
 def models_to_compare(
@@ -250,7 +250,7 @@ def fit(
 
 @app.command
 def check(file: Path, /) -> None:
-    """Recompute the certificate of a measurement: energy, bookkeeping, reciprocity, facets, settings.
+    """Self-check of one measurement: energy, bookkeeping, reciprocity, facets, settings.
 
     Exit code 1 if a check fails. A warning says where the settings limit what
     may be concluded.
@@ -261,22 +261,22 @@ def check(file: Path, /) -> None:
         The measurement, a .nc file.
     """
     from gonio import tables
-    from gonio.self_check import certify_file
+    from gonio.self_check import check_file
     from gonio.toml_files import InputError
 
     try:
-        certificate = certify_file(file)
+        report = check_file(file)
     except ValueError as error:
         raise InputError(str(error)) from None
-    show_table(f"Certificate of {file}", tables.checks(certificate))
-    say(certificate.summary()[0])
-    insist(certificate, file)
+    show_table(f"Self-check of {file}", tables.checks(report))
+    say(report.summary()[0])
+    insist(report, file)
 
 
-def insist(certificate: Certificate, file: Path) -> None:
+def insist(report: SelfCheckReport, file: Path) -> None:
     """Raise `RunError` if a check of this file has failed."""
-    if not certificate.passed:
-        raise RunError(f"{file} fails: {', '.join(certificate.failed)}. Do not use its numbers.")
+    if not report.passed:
+        raise RunError(f"{file} fails: {', '.join(report.failed)}. Do not use its numbers.")
 
 
 @app.command

@@ -88,7 +88,7 @@ def run(
     quiet
         Print nothing but errors.
     """
-    from gonio.self_check import Certificate
+    from gonio.self_check import SelfCheckReport
     from gonio.toml_files import InputError
 
     experiment = read_experiment(config, overrides, seed)
@@ -107,10 +107,10 @@ def run(
     models, complaints = models_to_compare(measurement, experiment.compare)
     complain(0, *complaints)
     comparisons = [] if quiet and no_pictures else judge(measurement, models)
-    certificate = Certificate.from_json(measurement.attributes["certificate"])
+    report = SelfCheckReport.from_json(measurement.attributes["self_check"])
     if not quiet:
         _report(measurement, comparisons, meter, seconds)
-        for sentence in certificate.summary():
+        for sentence in report.summary():
             say(sentence)
     shown = [] if no_pictures else _show(measurement, models, comparisons, folder)
     if not quiet:
@@ -119,7 +119,7 @@ def run(
         say(f"Files in {folder}{os.sep}: {files}{hint}")
     if measurement.interrupted:
         raise RunError(f"Interrupted: {folder / 'measurement.nc'} holds what had been measured.")
-    insist(certificate, folder / "measurement.nc")
+    insist(report, folder / "measurement.nc")
 
 
 def _write_results(experiment: Experiment, measurement: Measurement, folder: Path) -> None:

@@ -25,7 +25,7 @@ from gonio.optics import Conductor, Dielectric, citation
 from gonio.reporting.explore import explored
 from gonio.reporting.markup import clean, data, page, paragraphs, script, table, tag
 from gonio.reporting.words import best, errors, summary
-from gonio.self_check import Certificate, certify
+from gonio.self_check import SelfCheckReport, check
 from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
@@ -60,17 +60,17 @@ def report(
     if not measurement.measured.any():
         raise ValueError("no incidence of this measurement was measured: nothing to report")
     comparisons, complaints = _compared(measurement, models)
-    certificate = _certificate(measurement)
+    self_check = _self_check(measurement)
     shown = [model.model if isinstance(model, Comparison) else model for model in models]
     picture = functools.partial(_picture, {drawn.stem: drawn for drawn in pictures})
     sections = (
-        _section("Summary", *paragraphs(*summary(measurement, comparisons, certificate))),
+        _section("Summary", *paragraphs(*summary(measurement, comparisons, self_check))),
         _explore(measurement),
         _section("Pictures", *_pictures(measurement, shown, best(comparisons), picture)),
         _section("Albedo and energy", *_energy(measurement)),
         _section("Models", *_comparison(comparisons, complaints)),
         *([_section("Fits", *_fitted(measurement, fits, picture))] if fits else []),
-        _section("Self-checks", *_checks(certificate)),
+        _section("Self-checks", *_checks(self_check)),
         _section("The experiment", *_experiment(measurement)),
         _section("Where it comes from", *_provenance(measurement, shown, command)),
     )
@@ -297,18 +297,18 @@ def _fitted(measurement: Measurement, fits: Sequence[Fit], picture: Picture) -> 
     return parts
 
 
-def _certificate(measurement: Measurement) -> Certificate | None:
+def _self_check(measurement: Measurement) -> SelfCheckReport | None:
     """The one that goes with the measurement, or a new one; None where there is nothing to check."""
     if measurement.sums is None:
         return None
-    kept = measurement.attributes.get("certificate")
-    return certify(measurement) if kept is None else Certificate.from_json(kept)
+    kept = measurement.attributes.get("self_check")
+    return check(measurement) if kept is None else SelfCheckReport.from_json(kept)
 
 
-def _checks(certificate: Certificate | None) -> list[Element]:
-    if certificate is None:
+def _checks(self_check: SelfCheckReport | None) -> list[Element]:
+    if self_check is None:
         return paragraphs("The file comes from elsewhere, without the sums that self-checks are made of.")
-    return [tag("p", certificate.summary()[0]), table(tables.checks(certificate), "Every self-check and what it found")]
+    return [tag("p", self_check.summary()[0]), table(tables.checks(self_check), "Every self-check and what it found")]
 
 
 # --- Provenance -------------------------------------------------------------------------------------------------------
@@ -369,7 +369,7 @@ def _provenance(measurement: Measurement, models: Sequence[Model], command: str)
 _NOT_FACTS = (
     "title",
     "experiment",
-    "certificate",
+    "self_check",
     "facets",
     "surface_statistics",
     "goniometer",

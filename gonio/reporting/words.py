@@ -15,7 +15,7 @@ from gonio.wording import percent
 if TYPE_CHECKING:
     from gonio.comparison import Comparison
     from gonio.measurement import Measurement
-    from gonio.self_check import Certificate
+    from gonio.self_check import SelfCheckReport
 
 GREEN = 550.0
 """The wavelength in nm whose neighbour is told of where one has to do."""
@@ -24,13 +24,13 @@ NEGLIGIBLE = 5e-4
 """A relative difference of albedos that is not worth a word where no errors are known."""
 
 
-def summary(measurement: Measurement, comparisons: Sequence[Comparison], certificate: Certificate | None) -> list[str]:
+def summary(measurement: Measurement, comparisons: Sequence[Comparison], report: SelfCheckReport | None) -> list[str]:
     """Paragraphs: what was measured, what it reflects, how the models do, what the self-checks and the errors say."""
     return [
         _subject(measurement),
         " ".join((_albedo(measurement), _multiple(measurement))).strip(),
         " ".join(_models(comparisons)),
-        _checks(certificate),
+        _checks(report),
         errors(measurement),
     ]
 
@@ -234,14 +234,14 @@ def _where(row: dict[str, Any]) -> str:
 # --- What is sure -----------------------------------------------------------------------------------------------------
 
 
-def _checks(certificate: Certificate | None) -> str:
-    if certificate is None:
-        return "There is no certificate: the file holds nothing that its self-checks could be made of."
-    wrong = {status: [c.name for c in certificate.checks if c.status == status] for status in ("failed", "warning")}
+def _checks(report: SelfCheckReport | None) -> str:
+    if report is None:
+        return "There is no self-check report: the file holds nothing that could be checked."
+    wrong = {status: [c.name for c in report.checks if c.status == status] for status in ("failed", "warning")}
     if wrong["failed"]:
-        return f"The certificate fails ({_listed(wrong['failed'])}): do not use these numbers."
+        return f"The self-check fails ({_listed(wrong['failed'])}): do not use these numbers."
     warned = f", with {_warnings(wrong['warning'])}" if wrong["warning"] else ", without a warning"
-    return f"The certificate of {len(certificate.checks)} self-checks holds{warned}."
+    return f"The self-check passes all {len(report.checks)} checks{warned}."
 
 
 def _warnings(names: Sequence[str]) -> str:

@@ -26,7 +26,7 @@ from gonio.cli import main
 from gonio.experiment import Experiment
 from gonio.goniometer import Goniometer
 from gonio.plots import style
-from gonio.self_check import Certificate, Check
+from gonio.self_check import Check, SelfCheckReport
 from gonio.sphere import direction
 
 TOY = """
@@ -386,14 +386,14 @@ def test_what_a_table_does_not_tell_is_one_sentence(run: Gonio, tables: Path, to
     assert err.count("\n") == 1
 
 
-def test_check_recomputes_the_certificate(run: Gonio, measured: Path) -> None:
+def test_check_recomputes_the_report(run: Gonio, measured: Path) -> None:
     code, out, _ = run("check", str(measured))
     assert code == 0
     assert all(len(line) <= 80 for line in out.splitlines())
-    stored = json.loads(gonio.load(measured).attributes["certificate"])
+    stored = json.loads(gonio.load(measured).attributes["self_check"])
     for check in stored:
         assert check["name"] in out
-    assert "Certificate: 15 checks" in out
+    assert "Self-check: 15 checks" in out
 
 
 def test_check_of_a_damaged_file_fails(run: Gonio, measured: Path) -> None:
@@ -406,17 +406,17 @@ def test_check_of_a_damaged_file_fails(run: Gonio, measured: Path) -> None:
     assert err == "damaged.nc fails: values. Do not use its numbers.\n"
 
 
-def test_a_run_tells_its_certificate(run: Gonio, undrawn: None) -> None:
+def test_a_run_tells_its_self_check(run: Gonio, undrawn: None) -> None:
     code, out, _ = run("run", "toy.toml")
     assert code == 0
-    assert "Certificate: 15 checks" in out
+    assert "Self-check: 15 checks" in out
     assert "realisations, warning: 2 specimens measured, limit 4" in out
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_run_that_fails_its_certificate_says_so(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
-    bad = Certificate((Check("lost light", "failed", "half of it was lost.", {"share": 0.5}),))
-    monkeypatch.setattr("gonio.experiment.certify", lambda _: bad)
+def test_a_run_that_fails_its_self_check_says_so(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
+    bad = SelfCheckReport((Check("lost light", "failed", "half of it was lost.", {"share": 0.5}),))
+    monkeypatch.setattr("gonio.experiment.check", lambda _: bad)
     code, _, err = run("run", "toy.toml", "--quiet")
     assert code == 1
     assert err == f"{Path('out/toy/measurement.nc')} fails: lost light. Do not use its numbers.\n"
@@ -800,7 +800,7 @@ def test_too_little_memory_is_one_sentence(run: Gonio) -> None:
 
 
 def test_klems_patches_are_measured_and_exported(run: Gonio) -> None:
-    """The toy under the patches: a table of one row a ring, no model, a sound certificate, and a matrix as measured."""
+    """The toy under the patches: a table of one row a ring, no model, a sound self-check, and a matrix as measured."""
     Path("patches.toml").write_text(Path("toy.toml").read_text().split("[goniometer]")[0] + KLEMS)
     code, out, _ = run("run", "patches.toml", "-o", "out", "--no-pictures")
     assert code == 0

@@ -37,7 +37,7 @@ from gonio.measurement import Measurement, tabulated
 from gonio.models import Lambert
 from gonio.models.specimen import models_for
 from gonio.reporting import explore, markup, report, words
-from gonio.self_check import Certificate
+from gonio.self_check import SelfCheckReport
 from gonio.sphere import direction
 
 NASTY = "<script>alert(1)</script> & </script><img src=x onerror=alert(2)>\x07 'quoted' \"too\""
@@ -197,14 +197,14 @@ def test_tables_hold_what_the_terminal_shows(page: Path, measurement: Measuremen
     cells = {text for tag, text in Reader(page).texts if tag in ("td", "th", "caption")}
     models = models_for(measurement)
     comparisons = [compare(measurement, model) for model in models]
-    certificate = Certificate.from_json(measurement.attributes["certificate"])
+    self_check = SelfCheckReport.from_json(measurement.attributes["self_check"])
     shown = [
         tables.albedo(measurement),
         tables.energy(measurement),
         tables.ranking(comparisons),
         *map(tables.comparison, comparisons),
         tables.parameters(fit(measurement, models[0])),
-        tables.checks(certificate),
+        tables.checks(self_check),
     ]
     for table in shown:
         assert table is not None
@@ -212,11 +212,11 @@ def test_tables_hold_what_the_terminal_shows(page: Path, measurement: Measuremen
 
 
 def test_every_self_check_is_there_with_its_judgement(page: Path, measurement: Measurement) -> None:
-    certificate = Certificate.from_json(measurement.attributes["certificate"])
-    assert len(certificate.checks) == 15
+    self_check = SelfCheckReport.from_json(measurement.attributes["self_check"])
+    assert len(self_check.checks) == 15
     judged = [row.get("class") for row in Reader(page).all("tr")]
     for status in ("warning", "failed"):
-        assert judged.count(status) == sum(check.status == status for check in certificate.checks)
+        assert judged.count(status) == sum(check.status == status for check in self_check.checks)
     assert judged.count("warning") > 0
 
 
@@ -237,7 +237,7 @@ def test_the_page_tells_where_it_comes_from(page: Path, measurement: Measurement
     rows = {text for tag, text in reader.texts if tag in ("th", "td")}
     assert {"seed", "0", "versions", "platform", measurement.attributes["platform"]} <= rows
     assert any(f"numpy {np.__version__}" in text for text in rows)
-    assert not {"certificate", "surface statistics", "goniometer"} & rows
+    assert not {"self check", "surface statistics", "goniometer"} & rows
     sources = reader.words("li")
     for source in ("gonio 0.1.0", "Refractive indices of Au: P. B. Johnson", "doi:10.1145/357290.357293"):
         assert source in sources
@@ -316,8 +316,8 @@ def test_the_summary_tells_the_worst_bin() -> None:
 
 
 def test_the_summary_of_what_gonio_measured(measurement: Measurement) -> None:
-    certificate = Certificate.from_json(measurement.attributes["certificate"])
-    text = "\n".join(words.summary(measurement, [], certificate))
+    self_check = SelfCheckReport.from_json(measurement.attributes["self_check"])
+    text = "\n".join(words.summary(measurement, [], self_check))
     assert "A surface of the kind Gaussian" in text
     assert "of gold. 2 specimens were lit from 3 directions (theta_i 0°, 30° and 60°)" in text
     assert "0.04 million light paths an incidence" in text
@@ -326,8 +326,8 @@ def test_the_summary_of_what_gonio_measured(measurement: Measurement) -> None:
     assert f"{100 * share:.2g}\u00a0% at theta_i 60°" in text
     assert "No model was compared." in text
     assert "the differences between 2 specimens together" in text
-    failing = Certificate(tuple(c.__class__(c.name, "failed", c.sentence, {}) for c in certificate.checks[:1]))
-    assert "The certificate fails (ledger): do not use these numbers." in words.summary(measurement, [], failing)
+    failing = SelfCheckReport(tuple(c.__class__(c.name, "failed", c.sentence, {}) for c in self_check.checks[:1]))
+    assert "The self-check fails (energy budget): do not use these numbers." in words.summary(measurement, [], failing)
 
 
 def test_a_mirror_scatters_once() -> None:
@@ -339,7 +339,7 @@ def test_a_mirror_scatters_once() -> None:
 # --- What is left out ------------------------------------------------------------------------------------------------
 
 
-def test_what_comes_from_elsewhere_has_no_ledger_and_no_certificate(tmp_path: Path, undrawn: None) -> None:
+def test_what_comes_from_elsewhere_has_no_energy_budget_and_no_self_check(tmp_path: Path, undrawn: None) -> None:
     colours = external(
         Lambert(reflectance=0.5), detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"}
     )

@@ -1,4 +1,4 @@
-"""The certificate: sound measurements have it, each check can go wrong alone, and it sees that a tracer is damaged."""
+"""The self-check: sound measurements pass, each check can go wrong alone, and it sees that a tracer is damaged."""
 
 import functools
 import json
@@ -21,11 +21,11 @@ from gonio.experiment import Experiment
 from gonio.goniometer import Goniometer
 from gonio.measurement import ENERGY_BUDGET
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
-from gonio.self_check import Certificate, certify, certify_file
+from gonio.self_check import SelfCheckReport, check, check_file
 from gonio.transport.scene import Scene
 
 NAMES = (
-    "ledger", "orders", "values", "energy", "furnace", "lost light", "reciprocity", "normals", "resolution",
+    "energy budget", "orders", "values", "energy", "furnace", "lost light", "reciprocity", "normals", "resolution",
     "replicates", "realisations", "completeness", "sparse bins", "polarisation", "geometric optics",
 )  # fmt: skip
 LAUNCHED, ESCAPED, ABSORBED, _, LOST = range(len(ENERGY_BUDGET))
@@ -77,16 +77,20 @@ def measured(name):
 
 @functools.cache
 def sound(name):
-    return certify(measured(name))
+    return check(measured(name))
 
 
-def unsound(certificate):
-    return {check.name: check.status for check in certificate.checks if check.status in ("failed", "warning")}
+def unsound(report):
+    return {one.name: one.status for one in report.checks if one.status in ("failed", "warning")}
+
+
+def numbers(report):
+    return {one.name: one.numbers for one in report.checks}
 
 
 def changes(before, after):
     pairs = zip(before.checks, after.checks, strict=True)
-    return {check.name: check.status for was, check in pairs if check.status != was.status}
+    return {now.name: now.status for was, now in pairs if now.status != was.status}
 
 
 # --- Sound measurements -----------------------------------------------------------------------------------------------
@@ -94,34 +98,34 @@ def changes(before, after):
 
 @pytest.mark.parametrize("name", SOUND)
 def test_a_sound_measurement_passes(name):
-    certificate = sound(name)
-    assert certificate.passed, certificate.summary()
-    assert tuple(check.name for check in certificate.checks) == NAMES
-    assert set(unsound(certificate)) <= {"realisations", "polarisation"}
+    report = sound(name)
+    assert report.passed, report.summary()
+    assert tuple(one.name for one in report.checks) == NAMES
+    assert set(unsound(report)) <= {"realisations", "polarisation"}
 
 
 @pytest.mark.parametrize("name", SOUND)
 def test_every_sentence_tells_its_numbers_and_limits(name):
-    for check, line in zip(sound(name).checks, sound(name).sentences(), strict=True):
-        assert line == f"{check.name}, {check.status}: {check.sentence}"
-        assert (check.status == "not applicable") == (not check.numbers)
-        told = np.abs([float(word) for word in re.findall(r"[\d.]*\d(?:e[+-]\d+)?", check.sentence)])
-        for number in map(abs, check.numbers.values()):
+    for one, line in zip(sound(name).checks, sound(name).sentences(), strict=True):
+        assert line == f"{one.name}, {one.status}: {one.sentence}"
+        assert (one.status == "not applicable") == (not one.numbers)
+        told = np.abs([float(word) for word in re.findall(r"[\d.]*\d(?:e[+-]\d+)?", one.sentence)])
+        for number in map(abs, one.numbers.values()):
             assert np.isclose(told[:, None], (number, 100 * number), rtol=0.05, atol=0).any(), (number, line)
 
 
-def test_a_file_has_the_certificate_of_its_measurement(tmp_path):
+def test_a_file_has_the_report_of_its_measurement(tmp_path):
     for name in ("rough", "cones"):
         path = gonio.save(measured(name), tmp_path / "measured.nc")
-        assert certify_file(path) == sound(name)
-        assert Certificate.from_json(gonio.load(path).attributes["certificate"]) == sound(name)
+        assert check_file(path) == sound(name)
+        assert SelfCheckReport.from_json(gonio.load(path).attributes["self_check"]) == sound(name)
 
 
 def test_a_merged_measurement_passes():
     other = replace(SOUND["cones"], seed=2).run(threads=1)
-    certificate = certify(measured("cones").merge(other))
-    assert certificate.passed
-    assert {check.name: check.numbers for check in certificate.checks}["realisations"]["realisations"] == 8
+    report = check(measured("cones").merge(other))
+    assert report.passed
+    assert numbers(report)["realisations"]["realisations"] == 8
 
 
 def test_random_checks_do_not_fail_by_chance():
@@ -130,11 +134,11 @@ def test_random_checks_do_not_fail_by_chance():
         cones(ms.Gaussian(alpha=0.3, samples=64, side=100.0), GLASS, (20, 40), paths=1000, realisations=2, seed=seed)
         for seed in range(40)
     ]
-    certificates = [certify(tile.run(threads=1)) for tile in tiles]
-    assert [certificate.summary() for certificate in certificates if not certificate.passed] == []
-    numbers = [{check.name: check.numbers for check in certificate.checks} for certificate in certificates]
-    assert all(found["normals"] for found in numbers)
-    p_values = [1 - (1 - found["reciprocity"]["p_value"]) ** found["reciprocity"]["pairs"] for found in numbers]
+    reports = [check(tile.run(threads=1)) for tile in tiles]
+    assert [report.summary() for report in reports if not report.passed] == []
+    found = [numbers(report) for report in reports]
+    assert all(one["normals"] for one in found)
+    p_values = [1 - (1 - one["reciprocity"]["p_value"]) ** one["reciprocity"]["pairs"] for one in found]
     assert stats.kstest(p_values, "uniform", alternative="greater").pvalue > LEVEL
 
 
@@ -145,14 +149,14 @@ def one_unit_absorbed(sums):
     sums["energy_budget"].values[0, 0, ABSORBED, 0] += 1
 
 
-def swapped_fates(share):
+def swapped_terminations(share):
     """Light that was absorbed is said to be lost."""
 
     def swap(sums):
-        ledger = sums["energy_budget"].values
-        moved = (share * ledger[:, :, LAUNCHED]).astype(np.int64)
-        ledger[:, :, ABSORBED] -= moved
-        ledger[:, :, LOST] += moved
+        budget = sums["energy_budget"].values
+        moved = (share * budget[:, :, LAUNCHED]).astype(np.int64)
+        budget[:, :, ABSORBED] -= moved
+        budget[:, :, LOST] += moved
 
     return swap
 
@@ -161,7 +165,7 @@ def an_order_dropped(sums):
     sums["weight"].loc[{"order": "2"}] = 0
 
 
-def one_hit_more(sums):
+def one_count_more(sums):
     sums["count"].values[0, 0, 0, 0] += 1
 
 
@@ -171,19 +175,19 @@ def no_square(sums):
 
 def more_light_than_came(sums):
     sums["weight"].values *= 2
-    ledger = sums["energy_budget"].values
-    ledger[:, :, ESCAPED] *= 2
-    ledger[:, :, ABSORBED] -= ledger[:, :, ESCAPED] // 2
+    budget = sums["energy_budget"].values
+    budget[:, :, ESCAPED] *= 2
+    budget[:, :, ABSORBED] -= budget[:, :, ESCAPED] // 2
 
 
 def some_light_absorbed(sums):
     """One unit of the weight of single hits, in the fullest bin."""
-    weight, ledger = sums["weight"].values[0, 0], sums["energy_budget"].values[0, 0]
+    weight, budget = sums["weight"].values[0, 0], sums["energy_budget"].values[0, 0]
     for order in (0, 1):
         for place in (weight[1, :-1, 0].argmax(), -1):
             weight[order, place, 0] -= 1
-    ledger[ESCAPED, 0] -= 1
-    ledger[ABSORBED, 0] += 1
+    budget[ESCAPED, 0] -= 1
+    budget[ABSORBED, 0] += 1
 
 
 def an_aperture_half_blind(sums):
@@ -194,15 +198,15 @@ def an_aperture_half_blind(sums):
 
 
 FAULTS = (
-    ("rough", one_unit_absorbed, {"ledger": "failed"}),
+    ("rough", one_unit_absorbed, {"energy budget": "failed"}),
     ("rough", an_order_dropped, {"orders": "failed"}),
-    ("cones", one_hit_more, {"orders": "failed"}),
+    ("cones", one_count_more, {"orders": "failed"}),
     ("ridges", no_square, {"orders": "failed"}),
-    ("rough", more_light_than_came, {"ledger": "failed", "orders": "failed", "energy": "failed"}),
+    ("rough", more_light_than_came, {"energy budget": "failed", "orders": "failed", "energy": "failed"}),
     ("mirror", some_light_absorbed, {"furnace": "failed"}),
     ("diffuser", some_light_absorbed, {"furnace": "failed"}),
-    ("rough", swapped_fates(5e-4), {"lost light": "warning"}),
-    ("rough", swapped_fates(5e-3), {"lost light": "failed"}),
+    ("rough", swapped_terminations(5e-4), {"lost light": "warning"}),
+    ("rough", swapped_terminations(5e-3), {"lost light": "failed"}),
     ("cones", an_aperture_half_blind, {"reciprocity": "failed"}),
 )
 """A sound measurement, what is changed in its sums, and the checks that end otherwise."""
@@ -212,7 +216,7 @@ FAULTS = (
 def test_changed_sums_are_seen(name, change, expected):
     sums = measured(name).sums.copy(deep=True)
     change(sums)
-    assert changes(sound(name), certify(replace(measured(name), sums=sums))) == expected
+    assert changes(sound(name), check(replace(measured(name), sums=sums))) == expected
 
 
 def scaled_values(file):
@@ -223,16 +227,16 @@ def one_unit_launched(file):
     file["launched"][0, 0, 0] += 1
 
 
-def no_hits(file):
+def no_count(file):
     del file["count"]
 
 
-@pytest.mark.parametrize("change", [scaled_values, one_unit_launched, no_hits])
+@pytest.mark.parametrize("change", [scaled_values, one_unit_launched, no_count])
 def test_changed_values_in_a_file_are_seen(change, tmp_path):
     path = gonio.save(measured("cones"), tmp_path / "cones.nc")
     with h5py.File(path, "r+") as file:
         change(file)
-    assert changes(sound("cones"), certify_file(path)) == {"values": "failed"}
+    assert changes(sound("cones"), check_file(path)) == {"values": "failed"}
 
 
 @pytest.mark.parametrize(
@@ -249,8 +253,8 @@ def test_another_surface_than_was_asked_for_is_seen(built, asked):
     table = json.loads(measurement.attributes["experiment"])
     table["surface"] |= asked
     attributes = {**measurement.attributes, "experiment": json.dumps(table)}
-    assert unsound(certify(measurement)) == {}
-    assert unsound(certify(replace(measurement, attributes=attributes))) == {"normals": "failed"}
+    assert unsound(check(measurement)) == {}
+    assert unsound(check(replace(measurement, attributes=attributes))) == {"normals": "failed"}
 
 
 SETTINGS = (
@@ -269,10 +273,10 @@ SETTINGS = (
 
 @pytest.mark.parametrize(("settings", "name"), SETTINGS)
 def test_settings_that_say_little_are_warned_of(settings, name):
-    certificate = certify(settings.run(threads=1))
-    assert unsound(certificate) == {name: "warning"}
-    assert certificate.passed
-    assert certificate.summary()[1].startswith(f"{name}, warning: ")
+    report = check(settings.run(threads=1))
+    assert unsound(report) == {name: "warning"}
+    assert report.passed
+    assert report.summary()[1].startswith(f"{name}, warning: ")
 
 
 def test_an_interruption_is_warned_of():
@@ -280,9 +284,9 @@ def test_an_interruption_is_warned_of():
         if done > 6000:
             raise KeyboardInterrupt
 
-    certificate = certify(experiment(ms.Flat(), realisations=1).run(threads=1, progress=interrupt))
-    assert unsound(certificate) == {"completeness": "warning"}
-    assert {check.name: check.numbers for check in certificate.checks}["completeness"] == {"incidences": 1, "limit": 2}
+    report = check(experiment(ms.Flat(), realisations=1).run(threads=1, progress=interrupt))
+    assert unsound(report) == {"completeness": "warning"}
+    assert numbers(report)["completeness"] == {"incidences": 1, "limit": 2}
 
 
 def test_a_hole_is_seen():
@@ -290,9 +294,9 @@ def test_a_hole_is_seen():
     plane = ms.Flat().build(0).mesh()
     torn = ms.Mesh(plane.vertices, plane.faces[[1, *range(1, len(plane.faces))]], plane.period)
     measurement = SOUND["flat"].goniometer.measure(Scene(torn, Mirror()), threads=1)
-    certificate = certify(measurement)
-    assert unsound(certificate) == {"lost light": "failed", "realisations": "warning"}
-    assert not certificate.passed
+    report = check(measurement)
+    assert unsound(report) == {"lost light": "failed", "realisations": "warning"}
+    assert not report.passed
 
 
 def test_every_check_is_seen_to_go_wrong():
@@ -300,25 +304,25 @@ def test_every_check_is_seen_to_go_wrong():
     assert changed | {name for _, name in SETTINGS} | {"values", "normals", "completeness"} == set(NAMES)
 
 
-def test_what_cannot_be_certified_is_told_in_a_sentence(tmp_path):
+def test_what_cannot_be_checked_is_told_in_a_sentence(tmp_path):
     sums = measured("flat").sums.copy(deep=True)
     sums["paths"].values[:] = 0
     with pytest.raises(ValueError, match="no measured incidence to check"):
-        certify(replace(measured("flat"), sums=sums))
-    text, numbers, cut = tmp_path / "text.nc", tmp_path / "numbers.nc", tmp_path / "cut.nc"
+        check(replace(measured("flat"), sums=sums))
+    text, table, cut = tmp_path / "text.nc", tmp_path / "table.nc", tmp_path / "cut.nc"
     text.write_text("no measurement")
-    xr.Dataset({"brdf": ("x", np.ones(3))}).to_netcdf(numbers, engine="h5netcdf")
+    xr.Dataset({"brdf": ("x", np.ones(3))}).to_netcdf(table, engine="h5netcdf")
     gonio.save(measured("flat"), cut)
     with h5py.File(cut, "r+") as file:
         file.attrs["facets"] = "null"
-    for path in (text, numbers, cut, tmp_path / "none.nc"):
+    for path in (text, table, cut, tmp_path / "none.nc"):
         with pytest.raises(
             ValueError, match=f"{path.name}: (not a measurement that gonio wrote|there is no such file)"
         ):
-            certify_file(path)
+            check_file(path)
 
 
-# --- What the certificate sees of a damaged tracer --------------------------------------------------------------------
+# --- What the self-check sees of a damaged tracer ---------------------------------------------------------------------
 
 DAMAGED = {
     "an aperture's solid angle without its cosine": ("cones on a plane", {"reciprocity": "failed"}),
@@ -331,7 +335,7 @@ DAMAGED = {
     "no restart offset": ("steep grooves", {"lost light": "failed"}),
     "the last order left out of the total": (
         "steep mirror",
-        {"ledger": "failed", "orders": "failed", "furnace": "failed"},
+        {"energy budget": "failed", "orders": "failed", "furnace": "failed"},
     ),
     "azimuths of a quarter turn": ("cones on turned grooves", {"reciprocity": "failed"}),
     "a source cone without its cosine": ("cones on a plane", {"reciprocity": "failed"}),
@@ -347,11 +351,11 @@ def damage(name):
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_a_damaged_tracer_has_no_clean_certificate(name, monkeypatch):
+def test_a_damaged_tracer_has_no_clean_report(name, monkeypatch):
     measurement, expected = DAMAGED[name]
     before = sound(measurement)
     damage(name).inflict(monkeypatch)
-    assert changes(before, certify(SOUND[measurement].run(threads=1))) == expected
+    assert changes(before, check(SOUND[measurement].run(threads=1))) == expected
 
 
 @pytest.mark.parametrize(
@@ -362,12 +366,12 @@ def test_a_sound_reader_sees_what_a_damaged_one_wrote(name, monkeypatch, tmp_pat
     with monkeypatch.context() as damaged:
         damage(name).inflict(damaged)
         path = gonio.save(SOUND["rough"].run(threads=1), tmp_path / "rough.nc")
-    assert changes(before, certify_file(path)) == {"values": "failed"}
+    assert changes(before, check_file(path)) == {"values": "failed"}
 
 
-def test_a_measurement_from_elsewhere_has_no_certificate(tmp_path):
+def test_an_external_measurement_has_no_report(tmp_path):
     path = gonio.save(external(), tmp_path / "table.nc")
     with pytest.raises(ValueError, match=r"table\.nc comes from another program, without the sums"):
-        certify_file(path)
+        check_file(path)
     with pytest.raises(ValueError, match="neither merged nor checked"):
-        certify(external())
+        check(external())
