@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from gonio.validation import run, summary
+from gonio.validation import summary, validate
 
 README = Path(__file__).parents[1] / "README.md"
 START, END = "<!-- gonio validate --quick -->\n", "<!-- end -->"
@@ -21,6 +21,6 @@ def condensed(table: str) -> str:
 
 
 if __name__ == "__main__":
-    table = condensed(summary(run(quick=True)))
+    table = condensed(summary(validate(quick=True)))
     text = README.read_text(encoding="utf-8")
     README.write_text(re.sub(f"{START}.*?{END}", lambda _: START + table + END, text, flags=re.S), encoding="utf-8")

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from gonio.sphere import direction
     from gonio.toml_files import InputError
     from gonio.transport.scene import Scene
+    from gonio.validation import validate
 
 __version__ = "0.1.0"
 
@@ -61,6 +62,7 @@ _HOME = {
     "save": "gonio.netcdf",
     "tabulated": "gonio.measurement",
     "direction": "gonio.sphere",
+    "validate": "gonio.validation",
 }
 
 _MODULES = ("formats", "models", "plots")
@@ -96,6 +98,7 @@ __all__ = [
     "plots",
     "save",
     "tabulated",
+    "validate",
 ]
 
 

@@ -352,7 +352,7 @@ def campaign_status(folder: Path, /) -> None:
 
 @campaigns.command(name="verify")
 def campaign_verify(folder: Path, /) -> None:
-    """Read every finished unit and check it; damaged ones are set aside, so that the next run computes them.
+    """Verify that stored files are intact; damaged ones are set aside, so that the next run computes them.
 
     Parameters
     ----------

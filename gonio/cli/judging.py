@@ -286,7 +286,7 @@ def validate(
     case: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
     output: Output = None,
 ) -> None:
-    """Measure surfaces whose reflection is known exactly, and judge the instrument by them.
+    """Validate the instrument: measure surfaces whose reflection is known exactly, and judge it by them.
 
     Exit code 1 if a law fails. Seeds are fixed: it gives the same rows again.
 
@@ -299,23 +299,22 @@ def validate(
     output
         A Markdown file for the table.
     """
-    from gonio import tables
+    from gonio import tables, validation
     from gonio.toml_files import InputError
-    from gonio.validation import CASES, Row, markdown
-    from gonio.validation import run as measured
     from microsurfaces.atomic_write import atomic_write
 
     if output is not None:
         make_writable(output.parent)
-    names = [one.name for one in CASES if not case or any(part.lower() in one.name.lower() for part in case)]
+    known = [one.name for one in validation.CASES]
+    names = [name for name in known if not case or any(part.lower() in name.lower() for part in case)]
     if not names:
-        raise InputError(f"--case {' '.join(case)}: no such case; they are {'; '.join(one.name for one in CASES)}.")
-    started, rows, interrupted = time.monotonic(), list[Row](), False
+        raise InputError(f"--case {' '.join(case)}: no such case; they are {'; '.join(known)}.")
+    started, rows, interrupted = time.monotonic(), list[validation.Row](), False
     with _cases() as show:
         try:
             for done, name in enumerate(names):
                 show(name, done / len(names))
-                rows += measured(quick, (name,))
+                rows += validation.validate(quick, (name,))
         except KeyboardInterrupt:
             interrupted = True
     for name, group in itertools.groupby(rows, key=lambda row: row.case):
@@ -323,12 +322,12 @@ def validate(
     failures = sum(row.outcome == "FAILS" for row in rows)
     say(
         f"{len(rows)} numbers in {time.monotonic() - started:.0f} s, {failures} fail. Scores are Student's t, the "
-        "excess of chi2 per bin in units of its scatter, or a difference that has a stated bound; 'rejected' are wrong "
-        "formulas that the same test must see through."
+        "excess of reduced chi² over 1 in units of its scatter, or a difference that has a stated bound; 'rejected' "
+        "are wrong formulas that the same test must see through."
     )
     if output is not None:
         with atomic_write(output) as path:
-            path.write_text(markdown(rows), encoding="utf-8")
+            path.write_text(validation.markdown(rows), encoding="utf-8")
         print(output)
     if interrupted:
         raise RunError(f"Interrupted after {len({row.case for row in rows})} of {len(names)} cases.")

@@ -19,7 +19,9 @@ from gonio.optics import Lambertian, Material, Specular
 from microsurfaces.arrays import Floats
 from microsurfaces.recipe import Fraction, Positive, recipe
 
-NORMALISATIONS = {
+Normalisation = Literal["microsurface", "textbook", "half", "printed_1982", "pi_for_four", "four_for_pi"]
+
+NORMALISATIONS: dict[Normalisation, float] = {
     "microsurface": 1.0,
     "textbook": 1.0,
     "half": 0.5,
@@ -92,9 +94,7 @@ class CookTorrance:
     """Weight of the specular part; k_d + k_s <= 1."""
     reflectance: Fraction = 1.0
     """Albedo of the diffuse part."""
-    normalisation: Literal["microsurface", "textbook", "half", "printed_1982", "pi_for_four", "four_for_pi"] = (
-        "microsurface"
-    )
+    normalisation: Normalisation = "microsurface"
     """Which of the forms in circulation; only the first two, the same numbers, agree with a traced surface."""
 
     order: ClassVar[str] = "1"

@@ -434,14 +434,14 @@ def test_validate_prints_and_writes_a_table(run: Gonio) -> None:
 
 
 def test_validate_keeps_what_was_done_before_ctrl_c(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = validation.run
+    honest = validation.validate
 
-    def until_pits(quick: bool, names: tuple[str]) -> tuple[validation.Row, ...]:
-        if names == ("spherical pits",):
+    def until_pits(quick: bool, cases: tuple[str]) -> tuple[validation.Row, ...]:
+        if cases == ("spherical pits",):
             raise KeyboardInterrupt
-        return honest(quick, names)
+        return honest(quick, cases)
 
-    monkeypatch.setattr("gonio.validation.run", until_pits)
+    monkeypatch.setattr("gonio.validation.validate", until_pits)
     code, _, err = run("validate", "--quick", "--case", "count", "--case", "pits", "-o", "table.md")
     assert code == 1
     assert err.splitlines()[-1] == "Interrupted after 1 of 2 cases."

@@ -223,15 +223,15 @@ def scaled_values(file):
     file["brdf"][...] = file["brdf"][...] * (1 + 1e-6)
 
 
-def one_unit_launched(file):
-    file["launched"][0, 0, 0] += 1
+def more_absorbed(file):
+    file["absorbed"][0, 0, 0] += 1e-9
 
 
 def no_count(file):
     del file["count"]
 
 
-@pytest.mark.parametrize("change", [scaled_values, one_unit_launched, no_count])
+@pytest.mark.parametrize("change", [scaled_values, more_absorbed, no_count])
 def test_changed_values_in_a_file_are_seen(change, tmp_path):
     path = gonio.save(measured("cones"), tmp_path / "cones.nc")
     with h5py.File(path, "r+") as file:

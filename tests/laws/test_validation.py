@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gonio.validation import CASES, LEVEL, Case, _bound, _chi2, _pooled, _rows, _t, markdown, run, summary, unfolded
+from gonio.validation import CASES, markdown, summary, validate
+from gonio.validation.judging import LEVEL, Case, bounded, judged, pooled, reduced_chi2, t_test
+from gonio.validation.unfolding import unfolded
 from microsurfaces.atomic_write import atomic_write
 
 ROOT = Path(__file__).parents[2]
@@ -27,7 +29,7 @@ def quick(tmp_path_factory, worker_id):
         path = home / f"{name}.pickle"
         if not path.exists():
             with atomic_write(path) as scratch:
-                scratch.write_bytes(pickle.dumps(run(True, (name,))))
+                scratch.write_bytes(pickle.dumps(validate(True, (name,))))
         return pickle.loads(path.read_bytes())
 
     return rows
@@ -81,7 +83,7 @@ def test_the_full_outcome_is_of_these_cases():
 
 def outcomes(make, seeds):
     """Share of the seeds in which a case of one finding fails."""
-    found = [_rows(Case("toy", lambda _, seed=seed: [make(seed)]), True)[0].outcome for seed in range(seeds)]
+    found = [judged(Case("toy", lambda _, seed=seed: [make(seed)]), True)[0].outcome for seed in range(seeds)]
     return np.mean([outcome == "FAILS" for outcome in found])
 
 
@@ -96,22 +98,22 @@ def blocks(seed, bins=50, correlation=0.0, shift=0.0):
 @pytest.mark.parametrize("correlation", [0.0, 0.5])
 def test_the_level_is_what_it_is_said_to_be(correlation):
     """1000 cases whose law holds: 10 fail by chance, give or take 3."""
-    lobes = outcomes(lambda seed: _chi2("lobe", "", *blocks(seed, correlation=correlation)), 1000)
-    numbers = outcomes(lambda seed: _t("number", "", blocks(seed, 1)[0][:, 0], 1.0, 0.0), 1000)
+    lobes = outcomes(lambda seed: reduced_chi2("lobe", "", *blocks(seed, correlation=correlation)), 1000)
+    numbers = outcomes(lambda seed: t_test("number", "", blocks(seed, 1)[0][:, 0], 1.0, 0.0), 1000)
     assert lobes < 2.5 * LEVEL
     assert 0.2 * LEVEL < numbers < 2.2 * LEVEL
 
 
 def test_a_difference_of_one_standard_error_in_every_bin_is_seen():
     shift = 0.01 / math.sqrt(32)
-    assert outcomes(lambda seed: _chi2("lobe", "", *blocks(seed, shift=2 * shift)), 50) == 1.0
-    assert outcomes(lambda seed: _chi2("lobe", "", *blocks(seed, shift=2 * shift), holds=False), 50) == 0.0
-    assert outcomes(lambda seed: _t("number", "", blocks(seed, 1, shift=6 * shift)[0][:, 0], 1.0, 0.0), 50) > 0.98
+    assert outcomes(lambda seed: reduced_chi2("lobe", "", *blocks(seed, shift=2 * shift)), 50) == 1.0
+    assert outcomes(lambda seed: reduced_chi2("lobe", "", *blocks(seed, shift=2 * shift), holds=False), 50) == 0.0
+    assert outcomes(lambda seed: t_test("number", "", blocks(seed, 1, shift=6 * shift)[0][:, 0], 1.0, 0.0), 50) > 0.98
 
 
 def test_a_bound_is_a_bound():
     for value, outcome in ((1.05, "agrees"), (0.95, "agrees"), (1.2, "FAILS"), (0.8, "FAILS")):
-        (row,) = _rows(Case("toy", lambda _, value=value: [_bound("number", "", value, 1.0, 0.1)]), True)
+        (row,) = judged(Case("toy", lambda _, value=value: [bounded("number", "", value, 1.0, 0.1)]), True)
         assert row.outcome == outcome
 
 
@@ -119,8 +121,8 @@ def test_pools_have_enough_paths_and_lose_nothing():
     random = np.random.default_rng(1)
     exact = random.exponential(size=300)
     exact /= exact.sum()
-    pooled, expected = _pooled(exact[None], exact, 10_000)
-    np.testing.assert_allclose(pooled[0], expected)
+    shares, expected = pooled(exact[None], exact, 10_000)
+    np.testing.assert_allclose(shares[0], expected)
     assert expected.sum() == pytest.approx(1.0)
     assert expected.min() * 10_000 >= 320
 
@@ -164,4 +166,4 @@ def test_the_document_has_every_row(quick):
     assert all(row.quantity in text for row in rows)
     assert summary(rows) in text
     with pytest.raises(ValueError, match="'nonsense' is not known: choose from "):
-        run(True, ("nonsense",))
+        validate(True, ("nonsense",))
