@@ -442,7 +442,7 @@ def test_validate_keeps_what_was_done_before_ctrl_c(run: Gonio, monkeypatch: pyt
         return honest(quick, cases)
 
     monkeypatch.setattr("gonio.validation.validate", until_pits)
-    code, _, err = run("validate", "--quick", "--case", "count", "--case", "pits", "-o", "table.md")
+    code, _, err = run("validate", "--quick", "--case", "hits", "--case", "pits", "-o", "table.md")
     assert code == 1
     assert err.splitlines()[-1] == "Interrupted after 1 of 2 cases."
     assert "half-pipe, 2 hits" in Path("table.md").read_text()
