@@ -32,7 +32,7 @@ class Experiment:
 
     Realisation k of the surface is built and measured with seeds derived from (`seed`, k) alone, so that a longer
     series begins with the shorter one; only the slopes of V-grooves are stratified over all of them. One realisation
-    speaks of that specimen only; several speak of the class of surfaces, with both noises in the standard errors.
+    speaks of that specimen only; several speak of the ensemble of surfaces, with both noises in the standard errors.
     """
 
     surface: Surface

@@ -110,7 +110,7 @@ def errors(measurement: Measurement) -> str:
         )
     return (
         f"Errors are one standard error, Monte Carlo noise and the differences between {count} specimens together: the "
-        "numbers speak of the class of surfaces that these were drawn from."
+        "numbers speak of the ensemble of surfaces that these were drawn from."
     )
 
 
