@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from gonio.comparison import ENOUGH_HITS
+from gonio.comparison import ENOUGH_COUNT
 from gonio.detectors import Apertures
 from gonio.measurement import Measurement
 from gonio.self_check.report import Check, not_applicable, outcome
@@ -34,7 +34,7 @@ def exchanged_cones(measurement: Measurement, data: xr.Dataset) -> Check:
     if not pairs:
         why = (
             "no reciprocal pair was measured: it takes Apertures and a beam_half_angle equal to their half_angle, two "
-            f"directions that were both lit and seen, and counts of at least {ENOUGH_HITS}."
+            f"directions that were both lit and seen, and counts of at least {ENOUGH_COUNT}."
         )
         return not_applicable("reciprocity", why)
     there, back = (_Seen.at(data, places) for places in zip(*pairs, strict=True))
@@ -119,5 +119,5 @@ def _comparable(pair: tuple[Place, Place], data: xr.Dataset) -> bool:
     count, realisations = data["count"].sel(order="all").values, data["realisations"].values
     (*there, _), (*back, _) = pair
     return bool(
-        realisations[tuple(there)] == realisations[tuple(back)] and min(count[place] for place in pair) >= ENOUGH_HITS
+        realisations[tuple(there)] == realisations[tuple(back)] and min(count[place] for place in pair) >= ENOUGH_COUNT
     )

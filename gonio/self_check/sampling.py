@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gonio.comparison import ENOUGH_HITS
+from gonio.comparison import ENOUGH_COUNT
 from gonio.detectors import Klems
 from gonio.measurement import Measurement
 from gonio.self_check.report import Check, outcome
@@ -61,10 +61,10 @@ def completeness(measurement: Measurement, sums: ExactSums) -> Check:
 def sparse_bins(sums: ExactSums) -> Check:
     """Little light is in bins whose count is too low for an error bar."""
     count, light = sums.count[:, 0, :-1], sums.weight[:, 0, :-1].astype(np.float64)
-    few = (count > 0) & (count < ENOUGH_HITS)
+    few = (count > 0) & (count < ENOUGH_COUNT)
     share = (light * few[..., None]).sum(axis=1) / np.maximum(light.sum(axis=1), 1.0)
     found = (
-        f"{100 * share.max():.2g} % of the light is in bins with a count below {ENOUGH_HITS} ({sums.worst(share)}), "
+        f"{100 * share.max():.2g} % of the light is in bins with a count below {ENOUGH_COUNT} ({sums.worst(share)}), "
         f"limit {100 * SPARSE_SHARE:g} %; these are {100 * few.mean():.2g} % of the bins, "
         f"{100 * (count == 0).mean():.2g} % are empty"
     )

@@ -8,7 +8,7 @@ import xarray as xr
 from synthetic import GRID, TRUTH, external, poisson, synthetic
 
 from gonio.brdf import BRDF
-from gonio.comparison import ENOUGH_HITS, _pools, compare
+from gonio.comparison import ENOUGH_COUNT, _pools, compare
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.models import CookTorrance, Lambert, Ward
 from gonio.optics import Conductor, Mirror
@@ -268,7 +268,7 @@ def test_pools_are_neighbours_with_enough_hits_and_lose_nothing():
         assert first[0] == 0
         assert (np.diff(first) > 0).all()
         assert counts.sum() == hits.sum()
-        assert (counts >= min(ENOUGH_HITS, hits.sum())).all()
+        assert (counts >= min(ENOUGH_COUNT, hits.sum())).all()
     hits = np.array([9, 1, 10, 3, 30, 2])
     energy = hits[:, None] * np.array([0.5, 1.0])
     assert _pools(hits, energy, energy**2 / hits[:, None]).tolist() == [0, 2, 3]
