@@ -47,10 +47,10 @@ class Experiment:
     """Decides every random number, of surfaces and light."""
     realisations: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     """How many different specimens of the surface are measured; `paths` is for each of them."""
-    compare: tuple[str, ...] | None = None
+    models: tuple[str, ...] | None = None
     """Closed-form models to compare with, their roughness measured from the facets; if left out, those that fit."""
 
-    @field_validator("compare")
+    @field_validator("models")
     @classmethod
     def _known_models(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
         for name in names or ():
@@ -71,11 +71,11 @@ class Experiment:
                 f"realisations = {self.realisations}: with goniometer.paths = {self.goniometer.paths} these are more "
                 f"than the {MAX_PATHS} paths an incidence that can be summed exactly; lower one of them"
             )
-        for name in self.compare or ():
+        for name in self.models or ():
             try:
                 Specimen({"beckmann_alpha": 1.0}, self.material, self.surface).described(name)
             except ValueError as error:
-                raise ValueError(f"compare = {list(self.compare or ())}: {error}") from None
+                raise ValueError(f"models = {list(self.models or ())}: {error}") from None
         return self
 
     @classmethod

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from gonio.measurement import Measurement
 
 FEWEST = 10
-"""Bins with fewer hits are not asked how uncertain they are."""
+"""Bins with fewer arrivals are not asked how uncertain they are."""
 
 MORE = 4
 """Advice tells what so many times the work would bring."""
@@ -97,7 +97,7 @@ class Noises:
     """How uncertain a measurement is, and why."""
 
     bins: Noise
-    """Of the detector's bins with ten hits or more, a mean over the light that they receive."""
+    """Of the detector's bins with a count of ten or more, a mean over the light that they receive."""
     albedo: Noise
     """Of the albedos, a mean over incidences and wavelengths."""
     realisations: int
@@ -111,7 +111,7 @@ class Noises:
     def sentences(self) -> list[str]:
         """How uncertain it is, and what would help, with numbers."""
         if not self.bins.known:
-            return [f"No bin received {FEWEST} hits, too few to tell how uncertain bins are: trace more paths."]
+            return [f"No bin has a count of {FEWEST}, too few to tell how uncertain bins are: trace more paths."]
         return [self._told("bins", self.bins), self._told("albedos", self.albedo), self._advice()]
 
     def _told(self, what: str, noise: Noise) -> str:

@@ -57,21 +57,22 @@ def _some(measurement: Measurement) -> Iterator[tuple[float, float]]:
 
 
 def energy(measurement: Measurement) -> Table | None:
-    """Orders of scattering and the ledger, means over the wavelengths; None where nobody kept them."""
+    """Orders of scattering and the energy budget, means over the wavelengths; None where nobody kept them."""
     if measurement.sums is None:
         return None
-    reflected, ledger = measurement.dataset["albedo"].mean("wavelength"), measurement.energy_budget().mean("wavelength")
+    reflected = measurement.dataset["albedo"].mean("wavelength")
+    budget = measurement.energy_budget().mean("wavelength")
     orders = reflected["order"].values[1:]
     hits = (f"{order[:-1]} or more" if order.endswith("+") else order for order in orders)
     table = _of_incidences(*(f"{many} hit{'s' * (many != '1')}" for many in hits), "absorbed", "lost or truncated")
     for theta, phi in _some(measurement):
-        here, fate = reflected.sel(theta_i=theta, phi_i=phi), ledger.sel(theta_i=theta, phi_i=phi)
+        here, ended = (shares.sel(theta_i=theta, phi_i=phi) for shares in (reflected, budget))
         total = float(here.sel(order="all")) or 1.0
         shares = [float(here.sel(order=order)) / total for order in orders]
-        missing = float(fate["lost"] + fate["truncated"])
+        missing = float(ended["lost"] + ended["truncated"])
         table.add_row(
             _incidence(theta, phi),
-            *(f"{share:.2%}" for share in (*shares, float(fate["absorbed"]))),
+            *(f"{share:.2%}" for share in (*shares, float(ended["absorbed"]))),
             f"{missing:.1e}" if missing else "0",
         )
     return table
@@ -108,8 +109,8 @@ def light(order: str) -> str:
 
 
 def comparison(found: Comparison, every_wavelength: bool = False) -> Table:
-    """Albedo and lobe of a model, each with its comparison: a row an incidence, at the wavelength that differs most."""
-    table = _of_incidences(_unit(found), "albedo", "model", "outcome", "L1", "noise", "outcome")
+    """Albedo and lobe of a model, each with its outcome: a row an incidence, at the wavelength that differs most."""
+    table = _of_incidences(_unit(found), "albedo", "model", "albedo\noutcome", "L1", "noise", "lobe\noutcome")
     for row in found.rows() if every_wavelength else found.worst_rows():
         measured, unknown = float(row["albedo_measured"]), row["lobe"] == "unknown"
         table.add_row(
@@ -117,25 +118,27 @@ def comparison(found: Comparison, every_wavelength: bool = False) -> Table:
             _channel(row),
             _concise(measured, float(row["albedo_standard_error"])),
             f"{row['albedo_bias']:+.2%}" if measured else "-",
-            "no errors" if unknown else "significant" if row["albedo_significant"] else "consistent",
+            "unknown" if unknown else "significant" if row["albedo_significant"] else "consistent",
             f"{row['l1']:.1%}",
             "-" if unknown else f"{row['l1_noise']:.1%}",
-            "no errors" if unknown else str(row["lobe"]),
+            str(row["lobe"]),
         )
     return table
 
 
 def metrics(found: Comparison, every_wavelength: bool = False) -> Table:
     """How far the lobe differs by other measures, in brackets what noise alone would give."""
-    table = _of_incidences(_unit(found), "L2 (noise)", "log-RMS (noise)", "chi2", "chi2 MC", "outside")
+    table = _of_incidences(
+        _unit(found), "L2 (noise)", "log-RMS (noise)", "reduced\nchi²", "reduced\nchi² MC", "outside"
+    )
     for row in found.rows() if every_wavelength else found.worst_rows():
         table.add_row(
             _incidence(row["theta_i"], row["phi_i"]),
             _channel(row),
             _beside(row["l2"], row["l2_noise"], ".1%"),
             _beside(row["log_rms"], row["log_rms_noise"], ".3f"),
-            _number(row["chi2"]),
-            "-" if found.scope == "external" else _number(row["chi2_mc"]),
+            _number(row["reduced_chi2"]),
+            "-" if found.scope == "external" else _number(row["reduced_chi2_mc"]),
             "-" if math.isnan(row["share_outside"]) else f"{row['share_outside']:.1%}",
         )
     return table
@@ -164,9 +167,9 @@ def worst_bins(found: Comparison) -> Table | None:
 
 def ranking(comparisons: Sequence[Comparison]) -> Table:
     """Several models side by side, the best lobe first: means and extremes over incidences and wavelengths."""
-    table = _headed("model", "light", "albedo bias", "L1 (noise)", "log-RMS", "chi2")
+    table = _headed("model", "light", "albedo bias", "L1 (noise)", "log-RMS", "reduced chi²")
     for found in sorted(comparisons, key=lambda each: float(each.table["l1"].mean())):
-        mean = {name: float(found.table[name].mean()) for name in ("l1", "l1_noise", "log_rms", "chi2")}
+        mean = {name: float(found.table[name].mean()) for name in ("l1", "l1_noise", "log_rms", "reduced_chi2")}
         bias = found.table["albedo_bias"].values.ravel()
         table.add_row(
             name_of(found.model),
@@ -174,7 +177,7 @@ def ranking(comparisons: Sequence[Comparison]) -> Table:
             f"{max(bias[bias == bias], key=abs, default=math.nan):+.2%}",
             _beside(mean["l1"], mean["l1_noise"], ".1%"),
             f"{mean['log_rms']:.3f}",
-            _number(mean["chi2"]),
+            _number(mean["reduced_chi2"]),
         )
     return table
 
@@ -184,7 +187,7 @@ def ranking(comparisons: Sequence[Comparison]) -> Table:
 
 def parameters(found: Fit) -> Table:
     """Fitted numbers with their errors and intervals, and what the facets have in their place."""
-    table = _headed("parameter", "value", "noise", "misfit", "95 % interval", "facets")
+    table = _headed("parameter", "value", "noise", "lack of fit", "95 % interval", "facets")
     table.columns[0].no_wrap = True
     for each in found.parameters:
         error = max(each.standard_error, 1e-8)
@@ -194,7 +197,7 @@ def parameters(found: Fit) -> Table:
             each.name,
             _concise(each.value, each.standard_error),
             "-" if math.isnan(each.noise) else f"{each.noise:.2g}",
-            f"{each.misfit:.2g}",
+            f"{each.lack_of_fit:.2g}",
             "at its limit" if each.at_bound else " to ".join(f"{end:.{digits}f}" for end in each.interval),
             facets,
         )
@@ -214,7 +217,7 @@ def correlations(found: Fit) -> Table | None:
 
 def ranked(rows: Iterable[Ranked]) -> Table:
     """Fitted models from the best to the worst by the information criterion."""
-    table = _headed("model", "QAICc - best", "left (L1)", "variance/noise", "outcome")
+    table = _headed("model", "QAICc - best", "residual (L1)", "variance/noise", "outcome")
     for place, row in enumerate(rows):
         outcome = "worse" if row.told_apart else "as good: not told apart"
         table.add_row(
@@ -266,9 +269,9 @@ def _headed(first: str, *others: str) -> Table:
 
 
 def _of_incidences(*headings: str) -> Table:
-    """A table whose first column says where the light comes from."""
+    """A table whose first column is the incident direction, theta_i and phi_i."""
     table = Table(box=box.SIMPLE_HEAD, caption_justify="left", pad_edge=False, collapse_padding=True)
-    for heading in ("light from", *headings):
+    for heading in ("incidence", *headings):
         table.add_column(heading, justify="right", no_wrap=True)
     return table
 

@@ -204,7 +204,7 @@ def _memory() -> int | None:
 
 # --- Which units, and what lies between them -------------------------------------------------------------------------
 
-_NO_MATTER = ("seed", "realisations", "title", "compare", "goniometer.paths", "goniometer.replicates",
+_NO_MATTER = ("seed", "realisations", "title", "models", "goniometer.paths", "goniometer.replicates",
               "goniometer.target_error", "goniometer.theta_i", "goniometer.phi_i")  # fmt: skip
 """What changes neither the time of a path nor its scatter, or is taken into account by itself."""
 

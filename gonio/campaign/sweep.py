@@ -67,7 +67,7 @@ class Campaign:
         if not experiments:
             raise InputError("experiments = []: a campaign needs one or more.")
         flat = [_flat(experiment.to_dict()) for experiment in experiments]
-        keys = dict.fromkeys(key for table in flat for key in table if key not in ("title", "compare"))
+        keys = dict.fromkeys(key for table in flat for key in table if key not in ("title", "models"))
         swept = [key for key in keys if any(table.get(key) != flat[0].get(key) for table in flat)]
         return cls(title, tuple(experiments), tuple({key: table.get(key) for key in swept} for table in flat))
 

@@ -108,7 +108,7 @@ def _catalogue() -> dict[str, list[type]]:
         "Surfaces: [surface]": Surface,
         "Materials: [material]": Material,
         "Detectors: [goniometer.detector]": Detector,
-        "Models: compare = [...], gonio compare --model": Model,
+        "Models: models = [...], gonio compare --model": Model,
         "The experiment, its goniometer": Experiment,
     }
     catalogue = {heading: list(members(union).values()) for heading, union in unions.items()}

@@ -48,7 +48,7 @@ def models_to_compare(
         return (), error.sentences
 
 
-def judge(measurement: Measurement, models: Sequence[Model], floor: float = 0.01) -> list[Comparison]:
+def judge(measurement: Measurement, models: Sequence[Model], relative_threshold: float = 0.01) -> list[Comparison]:
     """How each model compares with the light it speaks of; why one could not be compared is told."""
     from gonio import tables
     from gonio.comparison import compare
@@ -57,7 +57,7 @@ def judge(measurement: Measurement, models: Sequence[Model], floor: float = 0.01
     for model in models:
         try:
             with working(f"comparing with {tables.name_of(model)}"):
-                comparisons.append(compare(measurement, model, floor))
+                comparisons.append(compare(measurement, model, relative_threshold))
         except ValueError as error:
             complain(0, f"{tables.name_of(model)}: {error}")
     return comparisons
@@ -74,8 +74,9 @@ def show_comparisons(comparisons: Sequence[Comparison], every_wavelength: bool =
         say(
             ("" if every_wavelength else "Of every incidence the wavelength whose albedo differs most; ")
             + "in brackets the standard error of its last "
-            "digits. L1: how far the lobes differ, and how far noise alone would make them. Differs: noise does not "
-            "explain it; unclear: specimens that move the whole lobe could; more realisations would tell."
+            "digits. L1: how far the lobes differ, and how far noise alone would make them. Consistent: with noise; "
+            "significant: beyond noise; inconclusive: specimens that move the whole lobe could explain it, more "
+            "realisations would tell; unknown: without errors."
         )
         for sentence in dict.fromkeys(line for comparison in comparisons for line in comparison.preamble()):
             say(sentence)
@@ -88,14 +89,14 @@ def compare(
     *,
     models: ModelNames = (),
     all: Annotated[bool, Parameter(negative="", show_default=False)] = False,
-    floor: float = 0.01,
+    relative_threshold: float = 0.01,
     output: Output = None,
 ) -> None:
     """Compare a measurement with closed-form models, bin by bin, and tell noise from difference.
 
     A model is a name, with settings if need be; what is not said is the
-    specimen's: its material, and the roughness measured on its facets. A file
-    that comes from elsewhere tells neither, so both must be said.
+    specimen's: its material, and the roughness measured on its facets. An
+    external file tells neither, so both must be said.
 
       --model cook-torrance
       --model "cook-torrance m=0.35 material.name=Au"
@@ -111,7 +112,7 @@ def compare(
         A model, as often as needed; those that fit the material if not given.
     all
         Show every wavelength, not only the one that differs most.
-    floor
+    relative_threshold
         Share of a lobe's peak below which logarithms are not compared.
     output
         Folder for MODEL.nc, every number and every bin of the comparison, and MODEL.png, maps of the difference.
@@ -120,8 +121,10 @@ def compare(
     from gonio.models.specimen import models_for
     from gonio.toml_files import InputError
 
-    if not 0.0 <= floor < 1.0:
-        raise InputError(f"--floor {floor:g}: must be 0 or more and less than 1, a share of the peak.")
+    if not 0.0 <= relative_threshold < 1.0:
+        raise InputError(
+            f"--relative-threshold {relative_threshold:g}: must be 0 or more and less than 1, a share of the peak."
+        )
     measurement = load_measurement(file)
     chosen = models_for(measurement, models or None)
     if not chosen:
@@ -129,16 +132,17 @@ def compare(
             f"{file}: no model describes this specimen by itself; name one with --model, such as "
             '--model "cook-torrance m=0.3 material.name=Au".'
         )
-    comparisons = judge(measurement, chosen, floor)
+    comparisons = judge(measurement, chosen, relative_threshold)
     show_comparisons(comparisons, all)
     for comparison in comparisons:
         show_table(f"{tables.name_of(comparison.model)}, other measures of the lobe", tables.metrics(comparison, all))
         show_table("The bins that add most to L1, beyond doubt (3 standard errors)", tables.worst_bins(comparison))
     if comparisons:
         say(
-            f"L2: root mean square over projected solid angle. log-RMS: of ln(measured / model) above {floor:g} of "
-            "the peak; 0.1 is a typical factor of 1.1. chi2: mean square in standard errors, 1 if there is nothing "
-            "but noise; MC: with Monte Carlo noise alone. Noise leaves 5 % of the bins outside their interval."
+            "L2: root mean square over projected solid angle. log-RMS: of ln(measured / model) above "
+            f"{relative_threshold:g} of the peak; 0.1 is a typical factor of 1.1. Reduced chi²: mean square in "
+            "standard errors, 1 if there is nothing but noise; MC: with Monte Carlo noise alone. Noise leaves 5 % of "
+            "the bins outside their interval."
         )
         for comparison in comparisons:
             say(f"{tables.name_of(comparison.model)}: {comparison.conclusion()}")
@@ -146,13 +150,13 @@ def compare(
         show_table("All models, the best lobe first", tables.ranking(comparisons))
     if output is not None:
         make_writable(output)
-        for path in _save_verdicts(measurement, comparisons, output):
+        for path in _save_comparisons(measurement, comparisons, output):
             print(path)
     if len(comparisons) < len(chosen):
         raise RunError(f"{len(chosen) - len(comparisons)} of {len(chosen)} models could not be compared.")
 
 
-def _save_verdicts(measurement: Measurement, comparisons: Sequence[Comparison], folder: Path) -> Iterator[Path]:
+def _save_comparisons(measurement: Measurement, comparisons: Sequence[Comparison], folder: Path) -> Iterator[Path]:
     """Write the numbers and the maps of every comparison; the files."""
     from gonio import plots
 
@@ -179,9 +183,9 @@ def fit(
 ) -> None:
     """Adjust models to a measurement: parameters with 95 % intervals, and which model does best.
 
-    Intervals include the noise and the misfit of a model that is not the
-    truth. Several models are ranked by Akaike's information criterion. Of a
-    file that comes from elsewhere the material must be said.
+    Intervals include the noise and the lack of fit of a model that is not
+    the truth. Several models are ranked by Akaike's information criterion. Of
+    an external file the material must be said.
 
       --model cook-torrance
       --model "cook-torrance material.name=Au"

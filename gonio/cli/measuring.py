@@ -104,7 +104,7 @@ def run(
             raise RunError("Interrupted before anything was measured: nothing was written.") from None
     seconds = time.monotonic() - started
     _write_results(experiment, measurement, folder)
-    models, complaints = models_to_compare(measurement, experiment.compare)
+    models, complaints = models_to_compare(measurement, experiment.models)
     complain(0, *complaints)
     comparisons = [] if quiet and no_pictures else judge(measurement, models)
     report = SelfCheckReport.from_json(measurement.attributes["self_check"])

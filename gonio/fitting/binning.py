@@ -17,14 +17,11 @@ from microsurfaces.arrays import Floats, Vectors
 _ENOUGH_BINS = 40.0
 """Bins that must share a lobe's light (its participation number) for bins to be joined before a fit."""
 
-
 _WIDEST = 6.0, 15.0
 """Degrees in theta and phi beyond which bins are not joined."""
 
-
 _KEPT = 0.9
 """Share of a lobe's known light that must remain where joined bins, a part of which is unknown, are left out."""
-
 
 _BACKGROUND = 1e-3
 """Share of the mean BRDF that is added to both sides, so that a model's faintest tails do not decide a fit."""

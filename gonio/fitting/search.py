@@ -14,14 +14,11 @@ from microsurfaces.arrays import Floats
 _STEP = 0.01
 """Relative step of derivatives: far above the accuracy of bin averages, and of what a random walk's seed decides."""
 
-
 _EDGE = 1e-3
 """Share of the way between its limits within which a parameter counts as pressed against one."""
 
-
 _SCAN = 5
 """Values tried of every parameter before the search, to start it in the right valley."""
-
 
 _DISTANCES = np.array([0.3, 0.8, 1.2, 1.5, 1.8, 2.1, 3.0, 5.0])
 """Distances of cylinders to start from: below 2, where they have no flat strips between them, they matter most."""

@@ -35,9 +35,8 @@ class Covariances(NamedTuple):
 def covariances(lobes: Sequence[Lobe], final: Sequence[Floats], jacobian: Floats) -> Covariances:
     """Covariances of the parameters from the `final` energies of a model and the Jacobian of the roots.
 
-    Where noise is not known all disagreement counts as lack of fit.
-    Near the solution a root changes as -dM / sqrt(unit M), so that the scores dM (E - M) / (unit M) follow from the
-    Jacobian of the roots.
+    Where noise is not known all disagreement counts as lack of fit. Near the solution a root changes as
+    -dM / sqrt(unit M), so that the scores dM (E - M) / (unit M) follow from the Jacobian.
     """
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     noise, disagreement, blocks, at = np.zeros_like(inverse), np.zeros_like(inverse), 0, 0

@@ -1,4 +1,4 @@
-"""Fitted models: curves over what they were fitted to, what they leave over, and how sure their parameters are."""
+"""Fitted models: curves over what they were fitted to, their residuals, and how sure their parameters are."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 ACROSS = 3
 """At most so many incidences are shown."""
 NARROWEST = 5.0
-"""Percent: what is left over is not magnified any further."""
+"""Percent: residuals are not magnified any further."""
 FACETS = (0, (4, 2))
 """The line of the specimen's own roughness."""
 
@@ -60,7 +60,7 @@ def fits(measurement: Measurement, fits: Sequence[Fit], path: PathLike) -> Path:
     models, averaged over the same bins, as curves: up to three of the fitted incidences, at the fitted wavelength
     nearest to 550 nm, in the order of scattering that was fitted. Below, model / measured - 1. On the right every
     fitted parameter with its 95 % interval; roughness is held against that of the specimen's facets where it was
-    measured on them, and what is left over. Of more than four `fits` the first four are drawn; a ValueError if there
+    measured on them, and the residual. Of more than four `fits` the first four are drawn; a ValueError if there
     are none.
     """
     if not fits:
@@ -164,7 +164,7 @@ class _Slice:
         ]
         return cls(incidence, cut.angle, measured, models)
 
-    def left_over(self) -> Iterator[Floats]:
+    def residuals(self) -> Iterator[Floats]:
         """Of every fit model / measured - 1 (n,), percent."""
         for order, model in self.models:
             yield 100.0 * (model / self.measured[order][0] - 1.0)
@@ -180,7 +180,7 @@ def _draw_slices(figure: FigureBase, slices: Sequence[_Slice], looks: Sequence[_
             colour, bars, band = _ink(one, order), 2 * np.nan_to_num(error), 200.0 * error / value
             panel.errorbar(one.angle, value, bars, fmt=".", color=colour, ms=3, elinewidth=0.8, zorder=1)
             lower.fill_between(one.angle, -band, band, color=colour, alpha=0.2, lw=0)
-        for rest, look in zip(one.left_over(), looks, strict=False):
+        for rest, look in zip(one.residuals(), looks, strict=False):
             lower.plot(one.angle, rest, color=look.colour, ls=look.line, lw=1.2)
         mark_slice(panel, one.incidence)
         angle_axis(panel)
@@ -200,8 +200,8 @@ def _ink(one: _Slice, order: str) -> str:
 
 
 def _reach(slices: Sequence[_Slice]) -> float:
-    """Percent that nearly all of what is left over stays within, `NARROWEST` to `PERCENT`."""
-    rest = np.abs(np.concatenate([rest for one in slices for rest in one.left_over()]))
+    """Percent that nearly all residuals stay within, `NARROWEST` to `PERCENT`."""
+    rest = np.abs(np.concatenate([rest for one in slices for rest in one.residuals()]))
     rest = rest[np.isfinite(rest)]
     return float(np.clip(1.3 * np.quantile(rest, 0.95), NARROWEST, PERCENT)) if rest.size else PERCENT
 
@@ -227,7 +227,7 @@ def _meaning(name: str) -> str:
 
 
 def _draw_parameters(figure: FigureBase, fits: Sequence[Fit], looks: Sequence[_Look]) -> None:
-    """A panel for every kind of parameter, and one for what the models leave over."""
+    """A panel for every kind of parameter, and one for the models' residuals."""
     groups = _groups(fits)
     panels = figure.subplots(len(groups) + 1, 1, squeeze=False, height_ratios=_heights(groups, len(looks)))[:, 0]
     for panel, (meaning, rows) in zip(panels, groups.items(), strict=False):
@@ -241,7 +241,7 @@ def _draw_parameters(figure: FigureBase, fits: Sequence[Fit], looks: Sequence[_L
         panels[-1].barh(place, 100 * found.l1, height=0.16, color=look.colour)
         noise = "" if math.isnan(found.dispersion) else f", {found.dispersion:.3g} times the variance of noise"
         _tell(panels[-1], place, f"{look.name}: {found.l1:.2%}{noise}")
-    _value_axis(panels[-1], len(looks), "left over, share of the light (L1, %)")
+    _value_axis(panels[-1], len(looks), "residual, share of the light (L1, %)")
     panels[-1].set_xlim(left=0.0)
 
 

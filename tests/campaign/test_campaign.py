@@ -711,7 +711,7 @@ def test_a_name_depends_on_what_decides_the_numbers_and_on_nothing_else(monkeypa
     base = KINDS["several specimens"]
     known = names(base)
     assert len(known) == len(set(known)) == 12
-    for same in (replace(base, title="other"), replace(base, compare=("cook-torrance",))):
+    for same in (replace(base, title="other"), replace(base, models=("cook-torrance",))):
         assert names(same) == known
     longer = replace(base, realisations=4, goniometer=replace(TINY, theta_i=(0.0, 20.0, 30.0)))
     assert set(known) < set(names(longer))

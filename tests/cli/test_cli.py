@@ -203,7 +203,7 @@ def test_without_plotly_a_run_says_what_adds_the_page(run: Gonio, monkeypatch: p
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_model_that_cannot_describe_the_specimen_does_not_lose_the_measurement(run: Gonio) -> None:
-    changes = ("--set", "surface={kind='Flat'}", "--set", "compare=['CookTorrance']")
+    changes = ("--set", "surface={kind='Flat'}", "--set", "models=['CookTorrance']")
     code, _, err = run("run", "toy.toml", *changes)
     assert code == 0
     assert err.startswith("CookTorrance: ")
@@ -263,7 +263,7 @@ def test_compare_takes_settings_and_files_and_writes_numbers_and_maps(run: Gonio
         "Microfacet (Beckmann, VCavity)",
         "L2 (noise)",
         "log-RMS",
-        "chi2 MC",
+        "chi² MC",
         "All models, the best lobe first",
     ):
         assert words in out
@@ -347,8 +347,8 @@ def test_a_table_from_elsewhere_is_compared(run: Gonio, tables: Path) -> None:
     code, out, err = run("compare", str(tables / "spectrum.nc"), *two)
     assert (code, err) == (0, "")
     words = " ".join(out.split())
-    assert "CookTorrance, m 0.3: the disagreement is below the noise that its file tells" in words
-    assert "reflectance 0.1: noise does not explain the difference" in words
+    assert "CookTorrance, m 0.3: the difference is consistent with the noise that its file tells" in words
+    assert "reflectance 0.1: the difference is significant beyond noise" in words
     assert "nan" not in out
 
 
@@ -358,7 +358,7 @@ def test_a_table_from_elsewhere_is_fitted(run: Gonio, tables: Path) -> None:
         assert (code, err) == (0, "")
         (value,) = re.findall(r"^ m +([\d.]+)", out, flags=re.M)
         assert float(value) == pytest.approx(0.3, abs=2e-3 if told else 1e-5)
-        assert ("intervals speak of misfit only" in " ".join(out.split())) != told
+        assert ("intervals speak of lack of fit only" in " ".join(out.split())) != told
         assert "nan" not in out
 
 
@@ -675,7 +675,7 @@ def test_what_goes_wrong_is_one_sentence(run: Gonio, tokens: str, code: int, wor
         ("compare NC --model Lambert", 2, "Lambert"),
         ("compare NC --model missing.toml", 2, "missing.toml: there is no such file"),
         ("compare NC --model toy.toml", 2, "has no tables [[model]] with a kind"),
-        ("compare NC --floor 2", 2, "--floor 2: must be 0 or more and less than 1"),
+        ("compare NC --relative-threshold 2", 2, "--relative-threshold 2: must be 0 or more and less than 1"),
         ("fit NC", 2, "--model"),
         ("fit NC --model ward --free m", 2, "'m' is no parameter of Ward that can be fitted"),
         ("fit NC --model cook-torrance --free m --free m_x", 2, "cannot be fitted together"),

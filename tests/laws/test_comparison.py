@@ -1,5 +1,6 @@
-"""Verdicts: calibrated on noise of known size, and firm on models that are wrong."""
+"""Comparisons: calibrated on noise of known size, and firm on models that are wrong."""
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,8 @@ import xarray as xr
 from synthetic import GRID, TRUTH, external, poisson, synthetic
 
 from gonio.brdf import BRDF
-from gonio.comparison import ENOUGH_COUNT, _pools, compare
+from gonio.comparison import ENOUGH_COUNT, Comparison, compare
+from gonio.comparison.pooling import first_bins
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.models import CookTorrance, Lambert, Ward
 from gonio.optics import Conductor, Mirror
@@ -30,7 +32,7 @@ def test_calibrated_on_pure_noise():
         ratio = column[metric] / column[f"{metric}_noise"]
         # Squares and logarithms of noise are not straight: 0.5 % is what 2 % of noise bends them by.
         assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(ratio.size) + 0.005)
-    for metric in ("chi2", "chi2_mc"):
+    for metric in ("reduced_chi2", "reduced_chi2_mc"):
         spread = column[metric].std() / np.sqrt(ratio.size)
         assert column[metric].mean() == pytest.approx(1.0, abs=4 * spread)
     # 5 % of the albedos differ by construction: 10 of 200, with a standard deviation of 3.1.
@@ -50,7 +52,7 @@ def test_many_cells_are_one_family():
 
 
 def test_pooled_bins_leave_five_per_cent_outside_too():
-    """Counts of a few hits, each of which carries the same energy: Poisson noise, pooled to at least 10 hits."""
+    """Counts of a few, each of which carries the same energy: Poisson noise, pooled to a count of at least 10."""
     outside, bins = [], []
     for seed in range(60):
         measurement = poisson(seed, photons=3000)
@@ -94,9 +96,9 @@ def test_a_wrong_model_is_rejected_in_numbers_and_in_words():
     assert albedo.startswith(f"theta_i 30: order-1 albedo {row['albedo_measured'].item():.5f} ± ")
     assert f"CookTorrance {row['albedo_model'].item():.5f}: {abs(relative):.2g} % lower, " in albedo
     assert " degrees of freedom, p = " in albedo
-    assert albedo.endswith(": not noise.")
+    assert albedo.endswith(": significant beyond noise.")
     assert lobe.startswith(f"theta_i 30: the lobe differs by {100 * row['l1'].item():.2g} % (L1), of which noise alone")
-    assert lobe.endswith(": not noise.")
+    assert lobe.endswith(": significant beyond noise.")
 
 
 def test_a_right_albedo_with_a_wrong_lobe_is_rejected_by_the_lobe_only():
@@ -114,6 +116,15 @@ def test_without_noise_an_exact_model_agrees_and_any_other_does_not():
     assert other["albedo_significant"]
     assert other["lobe"] == "significant"
     assert all("nan" not in sentence for sentence in compare(measurement, Lambert(0.5)).sentences())
+
+
+def test_every_column_is_documented():
+    """The names in the docstring of a comparison are those of its table, of its bins and of its attributes."""
+    comparison = compare(synthetic(), TRUTH)
+    columns = {str(name) for data in (comparison.table, comparison.lobes) for name in data.data_vars}
+    documented = set(re.findall(r"`(\w+)`", Comparison.__doc__))
+    assert documented - columns == {"table", "lobes", "compare", "relative_threshold"}
+    assert columns <= documented
 
 
 def test_a_model_without_light_is_told_apart_from_a_black_surface():
@@ -149,8 +160,8 @@ def test_a_gradient_has_its_own_norms():
     row = compare(measurement, Lambert(1.0)).table.squeeze()
     assert row["l1"].item() == pytest.approx(1 / 3, rel=1e-4)  # 1 - 2/3
     assert row["l2"].item() == pytest.approx(np.sqrt(1 - 4 / 3 + 1 / 2), rel=1e-3)
-    # Above a floor of a half: theta below 60 degrees.
-    row = compare(measurement, Lambert(1.0), floor=0.5).table.squeeze()
+    # Above a threshold of a half: theta below 60 degrees.
+    row = compare(measurement, Lambert(1.0), relative_threshold=0.5).table.squeeze()
     u = np.linspace(0.5, 1, 100_001)
     exact = np.sqrt(np.average(np.log(u) ** 2, weights=u))
     assert row["log_rms"].item() == pytest.approx(exact, rel=0.02)
@@ -191,8 +202,14 @@ def test_sparse_bins_share_the_significance_of_their_pool():
 def test_the_words_say_which_noise_it_is():
     specimens = [compare(synthetic(seed=seed, realisations=8, noise=1e-4, common=0.02), TRUTH) for seed in range(5)]
     words = [sentence for comparison in specimens for sentence in comparison.sentences()[1:]]
-    assert sum("above the Monte Carlo noise, within what specimens differ" in sentence for sentence in words) >= 3
-    assert compare(synthetic(), TRUTH).sentences()[2].endswith(": within the Monte Carlo noise.")
+    assert (
+        sum(
+            "consistent with how specimens differ, though not with Monte Carlo noise alone" in sentence
+            for sentence in words
+        )
+        >= 3
+    )
+    assert compare(synthetic(), TRUTH).sentences()[2].endswith(": consistent with Monte Carlo noise.")
 
 
 @dataclass(frozen=True)
@@ -216,7 +233,7 @@ class Walk:
 def test_what_a_random_walk_does_not_know_is_noise_too():
     row = compare(synthetic(noise=1e-4), Walk(error=0.02)).table.squeeze()
     assert row["lobe"] == "consistent"
-    assert row["chi2"].item() == pytest.approx(1.0, abs=0.25)
+    assert row["reduced_chi2"].item() == pytest.approx(1.0, abs=0.25)
 
 
 # --- Shapes -----------------------------------------------------------------------------------------------------------
@@ -259,21 +276,21 @@ def test_a_wide_beam_is_mentioned():
     assert "half angle of 2.5 degrees" in compare(synthetic(beam=2.5), TRUTH).sentences()[1]
 
 
-def test_pools_are_neighbours_with_enough_hits_and_lose_nothing():
+def test_pools_are_neighbours_with_enough_arrivals_and_lose_nothing():
     rng = np.random.default_rng(3)
-    for hits in (rng.poisson(2.0, 500), np.zeros(7, int), np.array([100]), np.array([9, 1, 10, 3, 30, 2])):
-        counts = hits[:, None].astype(float)
-        first = _pools(hits, counts, counts)
-        counts = np.add.reduceat(hits, first)
+    for count in (rng.poisson(2.0, 500), np.zeros(7, int), np.array([100]), np.array([9, 1, 10, 3, 30, 2])):
+        energy = count[:, None].astype(float)
+        first = first_bins(count, energy, energy)
+        pooled = np.add.reduceat(count, first)
         assert first[0] == 0
         assert (np.diff(first) > 0).all()
-        assert counts.sum() == hits.sum()
-        assert (counts >= min(ENOUGH_COUNT, hits.sum())).all()
-    hits = np.array([9, 1, 10, 3, 30, 2])
-    energy = hits[:, None] * np.array([0.5, 1.0])
-    assert _pools(hits, energy, energy**2 / hits[:, None]).tolist() == [0, 2, 3]
-    # Hits that come in clusters of three: 30 are worth 10.
-    assert _pools(hits, energy, 3 * energy**2 / hits[:, None]).tolist() == [0]
+        assert pooled.sum() == count.sum()
+        assert (pooled >= min(ENOUGH_COUNT, count.sum())).all()
+    count = np.array([9, 1, 10, 3, 30, 2])
+    energy = count[:, None] * np.array([0.5, 1.0])
+    assert first_bins(count, energy, energy**2 / count[:, None]).tolist() == [0, 2, 3]
+    # Arrivals that come in clusters of three: 30 are worth 10.
+    assert first_bins(count, energy, 3 * energy**2 / count[:, None]).tolist() == [0]
 
 
 # --- Conclusions ------------------------------------------------------------------------------------------------------
@@ -281,33 +298,43 @@ def test_pools_are_neighbours_with_enough_hits_and_lose_nothing():
 
 def test_the_conclusion_says_below_which_noise_or_how_large_the_difference_is():
     right = compare(synthetic(seed=1), TRUTH).conclusion()
-    assert right.startswith("the disagreement is below the Monte Carlo noise, which is up to ")
+    assert right.startswith("the difference is consistent with Monte Carlo noise, which is up to ")
     shifted = (synthetic(seed=seed, realisations=8, noise=1e-4, common=0.02) for seed in range(12))
     words = " ".join(compare(measurement, TRUTH).conclusion() for measurement in shifted)
-    assert "below the noise of specimens, though not of Monte Carlo, which is up to" in words
-    assert "specimens differ too much to tell" in words
+    assert "consistent with the noise of specimens, though not with Monte Carlo noise alone, which is up to" in words
+    assert "inconclusive: specimens differ too much to tell" in words
     wrong = compare(synthetic(seed=1, noise=1e-3, theta_i=(0.0, 60.0)), CookTorrance(m=0.4, material=Mirror()))
-    assert wrong.conclusion().startswith("noise does not explain the difference at 2 of 2 incidences and wavelengths")
+    assert wrong.conclusion().startswith("the difference is significant beyond noise at 2 of 2 incidences")
     row = wrong.worst_rows()[1]
     assert f"off by up to {row['albedo_bias']:+.2%}" in wrong.conclusion() or "(theta_i 0" in wrong.conclusion()
     assert "(L1) beyond noise" in wrong.conclusion()
 
 
-def test_a_verdict_is_a_file(tmp_path):
+def test_a_comparison_is_a_file(tmp_path):
     comparison = compare(synthetic(seed=1, wavelengths=(450.0, 650.0)), TRUTH)
     path = comparison.save(tmp_path / "comparison.nc")
     with xr.open_dataset(path, engine="h5netcdf", group="table") as table:
         np.testing.assert_array_equal(table["l1"], comparison.table["l1"])
         np.testing.assert_array_equal(table["albedo_significant"], comparison.table["albedo_significant"])
         assert table.attrs["model"] == repr(TRUTH)
+        assert table.attrs["relative_threshold"] == 0.01
     with xr.open_dataset(path, engine="h5netcdf", group="lobes") as lobes:
         xr.testing.assert_equal(lobes["significance"], comparison.lobes["significance"])
         assert lobes["measured"].attrs["units"] == "sr-1"
 
 
-# --- Measurements from elsewhere --------------------------------------------------------------------------------------
+# --- External measurements --------------------------------------------------------------------------------------------
 
-OF_NOISE = ("z", "p_value", "l1_noise", "l2_noise", "log_rms_noise", "chi2", "share_outside", "share_noise_expected")
+OF_NOISE = (
+    "z",
+    "p_value",
+    "l1_noise",
+    "l2_noise",
+    "log_rms_noise",
+    "reduced_chi2",
+    "share_outside",
+    "share_noise_expected",
+)
 WRONG = CookTorrance(m=0.4, material=Mirror())
 
 
@@ -324,25 +351,23 @@ def test_without_errors_differences_are_told_but_nothing_of_noise():
         assert not comparison.table["albedo_significant"].any()
         assert comparison.lobes["significance"].isnull().all()
         assert not comparison.worst_bins()
-        assert (
-            "its file gives no errors: differences are told, but not what noise explains" in comparison.sentences()[0]
-        )
+        assert "consistent with noise is unknown" in comparison.sentences()[0]
         words = " ".join([*comparison.sentences(), comparison.conclusion()])
         assert "nan" not in words
     row = wrong.worst_rows()[0]
-    assert wrong.conclusion().startswith("without errors nobody can say what noise explains")
+    assert wrong.conclusion().startswith("whether the difference is consistent with noise is unknown")
     assert f"its albedo is off by up to {row['albedo_bias']:+.2%} (theta_i 0, 550 nm)" in wrong.conclusion()
     assert "the lobe differs by" in wrong.sentences()[-1]
 
 
 def test_errors_of_a_file_are_calibrated():
-    """In 200 repeats z is normal, 5 % of bins are outside, chi2 is 1 and L1 what noise adds up to; nothing is found."""
+    """In 200 repeats z is normal, 5 % of bins are outside, chi² is 1 and L1 what noise adds up to; nothing is found."""
     from scipy.stats import kstest
 
     tables = [compare(external(noise=0.02, seed=seed), TRUTH).table for seed in range(200)]
     column = {name: np.array([table[name].item() for table in tables]) for name in tables[0]}
     assert kstest(column["z"], "norm").pvalue > 0.01
-    for name, expected in {"share_outside": 0.05, "chi2": 1.0}.items():
+    for name, expected in {"share_outside": 0.05, "reduced_chi2": 1.0}.items():
         spread = column[name].std() / np.sqrt(200)
         assert column[name].mean() == pytest.approx(expected, abs=4 * spread)
     for metric in ("l1", "l2", "log_rms"):
@@ -358,17 +383,19 @@ def test_with_errors_noise_is_called_noise_and_differences_differences():
     measurement = external(noise=0.01, seed=1)
     right, wrong = compare(measurement, TRUTH), compare(measurement, WRONG)
     assert right.scope == "external"
-    assert right.sentences()[0].startswith("The measurement comes from elsewhere: its errors are those in its file")
-    assert right.conclusion().startswith("the disagreement is below the noise that its file tells, which is up to ")
+    assert right.sentences()[0].startswith("The measurement is external: its errors are those in its file")
+    assert right.conclusion().startswith(
+        "the difference is consistent with the noise that its file tells, which is up to "
+    )
     albedo, lobe = right.sentences()[-2:]
     assert "degrees of freedom" not in albedo
     assert f"z = {right.table['z'].item():.3g}, p = " in albedo
-    assert albedo.endswith(": within the errors of the file.")
-    assert lobe.endswith(": within the errors of the file.")
+    assert albedo.endswith(": consistent with the errors of the file.")
+    assert lobe.endswith(": consistent with the errors of the file.")
     assert f"of {GRID.bins} bins are outside" in lobe
     assert wrong.table["albedo_significant"].item()
     assert wrong.table["lobe"].item() == "significant"
-    assert wrong.conclusion().startswith("noise does not explain the difference at 1 of 1 incidences")
+    assert wrong.conclusion().startswith("the difference is significant beyond noise at 1 of 1 incidences")
     assert wrong.worst_bins()[0]["channel"] == "550 nm"
     assert not any("Monte Carlo" in sentence or "specimen" in sentence for sentence in right.sentences())
 
@@ -394,7 +421,7 @@ def test_bins_that_are_not_known_take_no_part():
             whole[name][0].item() if name == "lobe" else pytest.approx(whole[name][0].item())
         )
     assert part["bins"].values.tolist() == [GRID.bins, GRID.bins - hole.sum()]
-    assert part["lobe"][1] == "noise"
+    assert part["lobe"][1] == "consistent"
     assert abs(part["z"][1]) < 4
     solid = np.where(hole[0, 0, ..., 1].ravel(), 0.0, GRID.projected_solid_angles())
     exact = TRUTH.average(direction(30.0), GRID)[:, 0] @ solid
@@ -447,7 +474,7 @@ def test_channels_of_a_colour_have_names():
     assert comparison.sentences()[-1].startswith(f"theta_i 30, {comparison.worst_rows()[0]['channel']}: ")
 
 
-def test_a_verdict_without_errors_is_a_file(tmp_path):
+def test_a_comparison_without_errors_is_a_file(tmp_path):
     path = compare(external(), WRONG).save(tmp_path / "comparison.nc")
     with xr.open_dataset(path, engine="h5netcdf", group="table") as table:
         assert table.attrs["scope"] == "external"

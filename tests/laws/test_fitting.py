@@ -9,7 +9,8 @@ from synthetic import GRID, TRUTH, external, poisson, synthetic
 
 import microsurfaces as ms
 from gonio.detectors import Apertures, HemisphereGrid
-from gonio.fitting import _joined, fit, rank
+from gonio.fitting import fit, rank
+from gonio.fitting.binning import joined
 from gonio.goniometer import Goniometer
 from gonio.models import (
     GGX,
@@ -86,7 +87,9 @@ def test_intervals_cover():
     scores = {name: [] for name in exact}
     inside = 0
     for seed in range(30):
-        measurement = poisson(seed, 40_000 / 0.05, truth, (20.0, 60.0), (450.0, 650.0), WIDE)
+        measurement = poisson(
+            seed, 40_000 / 0.05, truth, theta_i=(20.0, 60.0), wavelengths=(450.0, 650.0), detector=WIDE
+        )
         for p in fit(measurement, truth, free=exact).parameters:
             scores[p.name].append((p.value - exact[p.name]) / p.standard_error)
             inside += p.interval[0] <= exact[p.name] <= p.interval[1]
@@ -96,30 +99,30 @@ def test_intervals_cover():
 
 
 def test_a_wrong_model_knows_its_parameters_less_well():
-    """The noise goes away with more light, the misfit stays, and covers what parts of the data would say."""
+    """The noise goes away with more light, the lack of fit stays, and covers what parts of the data would say."""
     wrong = CookTorrance(m=0.5, material=Mirror())
     few, many = (fit(synthetic(smith(0.6), noise, theta_i=(0.0, 60.0)), wrong).parameters[0] for noise in (0.1, 0.001))
     assert many.noise < 0.02 * few.noise
-    assert many.misfit == pytest.approx(few.misfit, rel=0.6)
-    assert many.misfit > 10 * many.noise
+    assert many.lack_of_fit == pytest.approx(few.lack_of_fit, rel=0.6)
+    assert many.lack_of_fit > 10 * many.noise
     parts = [fit(synthetic(smith(0.6), 0.001, theta_i=(theta,)), wrong).parameters[0] for theta in (0.0, 60.0)]
     assert abs(parts[0].value - parts[1].value) > 10 * many.noise
     for part in parts:
-        assert abs(part.value - many.value) < 4 * np.hypot(many.misfit, part.misfit)
+        assert abs(part.value - many.value) < 4 * np.hypot(many.lack_of_fit, part.lack_of_fit)
 
 
 def test_correlated_parameters_are_told():
     """Under one incidence the weight of the lobe and the index of glass do the same thing."""
     truth = CookTorrance(m=0.2, material=Dielectric(eta=1.5), k_s=0.8)
-    found = fit(poisson(1, 100_000, truth, (0.0,)), truth, free=("k_s", "material.eta"))
+    found = fit(poisson(1, 100_000, truth, theta_i=(0.0,)), truth, free=("k_s", "material.eta"))
     assert abs(found.correlation[0, 1]) > 0.95
     assert any("hardly tells them apart" in sentence for sentence in found.warnings())
-    assert not fit(poisson(1, 100_000, truth, (0.0,)), truth, free=("m", "material.eta")).warnings()
+    assert not fit(poisson(1, 100_000, truth, theta_i=(0.0,)), truth, free=("m", "material.eta")).warnings()
 
 
 def test_the_reflectance_at_normal_incidence_follows_from_the_index():
     truth = CookTorrance(m=0.2, material=Dielectric(eta=1.5))
-    found = fit(poisson(2, 100_000, truth, (0.0, 60.0)), truth, free=("m", "material.eta"))
+    found = fit(poisson(2, 100_000, truth, theta_i=(0.0, 60.0)), truth, free=("m", "material.eta"))
     (nm, value, error) = found.normal_reflectance[0]
     eta = found.parameters[1]
     assert nm == 550.0
@@ -216,7 +219,7 @@ def test_bins_are_joined_as_long_as_the_lobe_keeps_its_shape():
     chosen = []
     for alpha in (0.02, 0.1, 0.5):
         energy = smith(alpha).average(direction(30.0), fine) * fine.projected_solid_angles()[:, None]
-        wider, owner = _joined(fine, [energy])
+        wider, owner = joined(fine, [energy])
         chosen.append(wider.theta_step)
         light = np.bincount(owner, energy[:, 0], wider.bins)
         assert light.sum() == pytest.approx(energy.sum())
@@ -233,7 +236,7 @@ def test_apertures_are_fitted_as_they_are():
     assert found.bins == 10
 
 
-# --- Measurements from elsewhere --------------------------------------------------------------------------------------
+# --- External measurements --------------------------------------------------------------------------------------------
 
 
 def test_parameters_of_a_table_without_errors_come_back():
@@ -242,12 +245,12 @@ def test_parameters_of_a_table_without_errors_come_back():
     found = fit(measurement, with_values(truth, {"m": 0.5, "material.eta": 1.3}), free=("m", "material.eta"))
     assert [p.value for p in found.parameters] == pytest.approx([0.3, 1.6], rel=1e-3)
     assert found.order == "all"
-    assert all(np.isnan(p.noise) and p.standard_error == p.misfit for p in found.parameters)
+    assert all(np.isnan(p.noise) and p.standard_error == p.lack_of_fit for p in found.parameters)
     assert np.isnan(found.dispersion)
     words = " ".join(found.sentences())
     assert "nan" not in words
     assert "the variance of the noise" not in words
-    assert "intervals speak of misfit only" in words
+    assert "intervals speak of lack of fit only" in words
     assert "CookTorrance, which speaks of the light of one hit, was fitted to all of it" in words
 
 
@@ -256,7 +259,7 @@ def test_intervals_cover_with_and_without_errors():
     for told in (True, False):
         scores, inside = [], 0
         for seed in range(100):
-            measurement = external(Lambert(0.4), 0.05, seed, WIDE, (20.0, 60.0))
+            measurement = external(Lambert(0.4), 0.05, seed, detector=WIDE, theta_i=(20.0, 60.0))
             if not told:
                 measurement.dataset["brdf_standard_error"][:] = np.nan
             (p,) = fit(measurement, Lambert(0.5)).parameters
@@ -271,13 +274,13 @@ def test_with_errors_only_noise_is_left_of_the_right_model():
     right, wrong = (fit(measurement, model) for model in (smith(0.2), CookTorrance(m=0.2, material=Mirror())))
     assert right.dispersion == pytest.approx(1.0, abs=0.25)
     assert wrong.dispersion > 5.0
-    assert "nothing but noise" in " ".join(right.sentences())
+    assert "consistent with noise" in " ".join(right.sentences())
     best, other = rank([wrong, right])
     assert best.fit is right
     assert other.told_apart
 
 
-def test_without_errors_models_are_ranked_by_what_they_leave():
+def test_without_errors_models_are_ranked_by_their_residuals():
     models = (CookTorrance(m=0.2, material=Mirror()), smith(0.2))
     best, other = rank([fit(external(smith(0.4), theta_i=(0.0, 60.0)), model) for model in models])
     assert isinstance(best.fit.model, Microfacet)

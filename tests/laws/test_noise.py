@@ -148,7 +148,7 @@ def test_too_few_hits_are_told_and_take_no_part():
     goniometer = Goniometer(theta_i=(0,), paths=16, detector=GRID)
     dim = noises(blank(goniometer, 1).merge(blank(goniometer, 2)))
     assert not dim.bins.known
-    assert dim.sentences() == ["No bin received 10 hits, too few to tell how uncertain bins are: trace more paths."]
+    assert dim.sentences() == ["No bin has a count of 10, too few to tell how uncertain bins are: trace more paths."]
     lit = Noises(Noise(0.03, 0.01), Noise(0.01, 0.02), 2)
     assert Noises.together([dim, lit, lit]).bins == Noise(pytest.approx(0.03), pytest.approx(0.01))
     assert not Noises.together([dim, dim]).bins.known

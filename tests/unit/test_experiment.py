@@ -152,8 +152,8 @@ def test_files_that_are_none_are_one_sentence(tmp_path: Path) -> None:
         ("goniometer.paths=1e6", "goniometer.paths = 1000000.0: must be a whole number, written 1000000."),
         ("goniometer.wavelengths=[100.0]", "goniometer.wavelengths: Au has no refractive index at 100 nm"),
         ("goniometer.detector.theta_step=7", "goniometer.detector.theta_step = 7 must divide 90"),
-        ("compare=['Wardd']", "compare = ['Wardd']: there is no such model; choose from "),
-        ("compare=['Lambert']", "compare = ['Lambert']: "),
+        ("models=['Wardd']", "models = ['Wardd']: there is no such model; choose from "),
+        ("models=['Lambert']", "models = ['Lambert']: "),
         ("realisations=0", "realisations = 0: must be 1 or more."),
         ("seed=-1", "seed = -1: must be 0 or more."),
         ("detector=3", "detector: Experiment has no such parameter"),
@@ -179,7 +179,7 @@ def test_all_mistakes_of_a_file_are_told_at_once(toy: Path) -> None:
 
 
 def test_writing_and_reading_gives_the_same_experiment(toy: Path, tmp_path: Path) -> None:
-    experiment = dataclasses.replace(Experiment.read(toy), compare=("CookTorrance",))
+    experiment = dataclasses.replace(Experiment.read(toy), models=("CookTorrance",))
     experiment.write(tmp_path / "resolved.toml")
     assert Experiment.read(tmp_path / "resolved.toml") == experiment
 

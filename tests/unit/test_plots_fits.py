@@ -43,7 +43,7 @@ def drawn(monkeypatch):
 
 
 def panels(figure):
-    """The panels of slices, of what is left over, and of parameters."""
+    """The panels of slices, of residuals, and of parameters."""
     left, right = (half.get_axes() for half in figure.subfigs)
     return left[: len(left) // 2], left[len(left) // 2 :], right
 
@@ -139,7 +139,7 @@ def test_models_of_different_light_are_told_apart(measurement, found, drawn):
         "roughness",
         "specular",
         "reflectance",
-        "left over",
+        "residual",
     ]
     assert sum(line.get_marker() in "osD" and len(line.get_xdata()) == 1 for line in right[0].lines) == 3
     for k, order in ((0, "1"), (2, "all")):
