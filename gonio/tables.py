@@ -110,7 +110,7 @@ def light(order: str) -> str:
 
 def comparison(found: Comparison, every_wavelength: bool = False) -> Table:
     """Albedo and lobe of a model, each with its outcome: a row an incidence, at the wavelength that differs most."""
-    table = _of_incidences(_unit(found), "albedo", "model", "albedo\noutcome", "L1", "noise", "lobe\noutcome")
+    table = _of_incidences(_unit(found), "albedo", "bias", "albedo\noutcome", "L1", "noise", "lobe\noutcome")
     for row in found.rows() if every_wavelength else found.worst_rows():
         measured, unknown = float(row["albedo_measured"]), row["lobe"] == "unknown"
         table.add_row(

@@ -18,8 +18,8 @@ def assert_equal_within_noise(measured, expected, standard_error, degrees_of_fre
         a.ravel() for a in np.broadcast_arrays(measured, expected, standard_error, degrees_of_freedom)
     )
     difference = measured - expected
-    floor = 1e-6 * np.abs(expected)  # directions and cosines are float32
-    score = np.abs(difference) / np.hypot(error, floor)
+    rounding = 1e-6 * np.abs(expected)  # directions and cosines are float32
+    score = np.abs(difference) / np.hypot(error, rounding)
     p = 2 * stats.t.sf(score, freedom)
     worst = int(np.argmin(p))
     assert p[worst] > sidak(p.size, level), (

@@ -275,14 +275,15 @@ def _comparison(comparisons: Sequence[Comparison], complaints: Sequence[str]) ->
         parts.append(table(worst, f"{name}: the bins that add most to L1, beyond doubt (3 standard errors)"))
     note = (
         "Of every incidence the wavelength whose albedo differs most; in brackets the standard error of the last "
-        "digits. L1: how far the lobes differ, and how far noise alone would make them. Differs: noise does not "
-        "explain it; unclear: specimens that move the whole lobe could."
+        "digits. L1: how far the lobes differ, and how far noise alone would make them. Consistent: with noise; "
+        "significant: beyond noise; inconclusive: specimens that move the whole lobe could explain it; unknown: "
+        "without errors."
     )
     return [*parts, tag("p", note, class_="note"), *paragraphs(*complaints)]
 
 
 def _fitted(measurement: Measurement, fits: Sequence[Fit], picture: Picture) -> list[Element]:
-    caption = "Fits: what was measured and the fitted models, what they leave over, and the parameters' 95 % intervals."
+    caption = "Fits: what was measured and the fitted models, their residuals, and the parameters' 95 % intervals."
     parts = [picture("fits", functools.partial(plots.fits, measurement, fits), caption)]
     for found in fits:
         name = tables.name_of(found.model)
