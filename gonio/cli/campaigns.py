@@ -1,4 +1,4 @@
-"""`gonio campaign run | status | verify | merge | publish`: many measurements in one folder."""
+"""`gonio campaign plan | run | status | verify | merge | publish`: many measurements in one folder."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 from rich.console import Console
 
 from gonio.cli.terminal import (
     PLAIN_PROGRESS_SECONDS,
+    Flag,
     Output,
-    Overrides,
     RunError,
     app,
     check_writable,
@@ -27,13 +27,27 @@ from gonio.cli.terminal import (
     say,
     show_table,
 )
+from gonio.wording import percent
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from gonio.campaign.planning import Forecast
-    from gonio.campaign.results import Merged
+    from gonio.campaign.queue import State
+    from gonio.campaign.results import Merged, Steps
+    from gonio.campaign.running import WorkerPool
 
+CampaignFile = Annotated[Path, Parameter(help="The campaign, a TOML file such as configs/roughness_and_metal.toml.")]
+CampaignFolder = Annotated[Path, Parameter(help="The campaign's folder.")]
+BaseOverrides = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--set",
+        negative="",
+        show_default=False,
+        help="Put a value in place of the base experiment's: --set goniometer.paths=10000",
+    ),
+]
 
 campaigns = App(
     name="campaign",
@@ -47,16 +61,16 @@ app.command(campaigns)
 
 @campaigns.command(name="run")
 def campaign_run(
-    file: Path,
+    file: CampaignFile,
     /,
     *,
-    overrides: Overrides = (),
+    overrides: BaseOverrides = (),
     workers: int = 0,
     shard: str = "1/1",
     threads: int | None = None,
     scheduler: str | None = None,
     output: Output = None,
-    quiet: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    quiet: Flag = False,
 ) -> None:
     """Measure all that a campaign file asks for, or what is still missing of it.
 
@@ -72,10 +86,6 @@ def campaign_run(
 
     Parameters
     ----------
-    file
-        The campaign, a TOML file such as configs/roughness_and_metal.toml.
-    overrides
-        Put a value in place of the base experiment's: --set goniometer.paths=10000
     workers
         Processes that share the cores; 0 measures in this one, with all cores.
     shard
@@ -85,11 +95,10 @@ def campaign_run(
     scheduler
         Address of a Dask scheduler, whose workers compute: tcp://HOST:PORT
     output
-        CampaignStore of the campaign; out/NAME if not given, where NAME.toml is the file.
+        Folder of the campaign; out/NAME if not given, where NAME.toml is the file.
     quiet
         Print nothing but errors.
     """
-    from gonio.campaign.running import ClusterError, State
     from gonio.campaign.running import run as run_campaign
     from gonio.campaign.sweep import Campaign
     from gonio.toml_files import InputError
@@ -101,25 +110,67 @@ def campaign_run(
     campaign, folder = Campaign.read(file, overrides), output or Path("out") / file.stem
     check_writable(folder)
     started, latest = time.monotonic(), list[State]()
-    with _campaign_progress(quiet) as show:
+    with (
+        _telling_what_is_kept(folder, latest),
+        _worker_pool(workers, threads, scheduler) as pool,
+        _campaign_progress(quiet) as show,
+    ):
 
         def report(state: State) -> None:
             latest[:] = [state]
             show(state)
 
-        try:
-            state = run_campaign(
-                campaign, folder, workers=workers, shard=part, threads=threads, scheduler=scheduler, report=report
-            )
-        except KeyboardInterrupt:
-            done = f"{latest[0].kept + latest[0].computed} of {latest[0].units}" if latest else "finished"
-            raise RunError(f"Interrupted: {done} units are kept in {folder}; the same command continues.") from None
-        except ClusterError as error:
-            raise RunError(f"{error}: finished units are kept in {folder}; the same command continues.") from None
-        except OSError as error:
-            raise RunError(
-                f"{folder} cannot be written ({reason(error)}): finished units are kept, the same command continues."
-            ) from None
+        state = run_campaign(campaign, folder, pool, shard=part, report=report)
+    _complain_about(state, folder)
+    if not quiet:
+        say(
+            f"{state.units} units: {state.kept} were there, {state.computed} computed in "
+            f"{time.monotonic() - started:.1f} s. To put them together:"
+        )
+        print(f"gonio campaign merge {folder}")
+
+
+@contextlib.contextmanager
+def _worker_pool(workers: int, threads: int | None, scheduler: str | None) -> Iterator[WorkerPool]:
+    """Who computes: the workers of a cluster, so many processes of this machine, or this process."""
+    from gonio.campaign.cluster import connected
+    from gonio.campaign.processes import ProcessPool
+    from gonio.campaign.running import ThisProcess
+
+    if scheduler is not None:
+        with connected(scheduler) as pool:
+            yield pool
+    else:
+        yield ProcessPool(workers, threads) if workers else ThisProcess(threads)
+
+
+@contextlib.contextmanager
+def _telling_what_is_kept(folder: Path, latest: Sequence[State]) -> Iterator[None]:
+    """Raise `RunError` in place of what ends a run early; `latest` holds how far it is, once that is known."""
+    from gonio.campaign.cluster import ClusterError
+
+    kept = "the same command continues"
+    try:
+        with _telling_refusals(f"{folder} cannot be written", f"finished units are kept, {kept}"):
+            yield
+    except KeyboardInterrupt:
+        done = f"{latest[0].kept + latest[0].computed} of {latest[0].units}" if latest else "finished"
+        raise RunError(f"Interrupted: {done} units are kept in {folder}; {kept}.") from None
+    except ClusterError as error:
+        raise RunError(f"{error}: finished units are kept in {folder}; {kept}.") from None
+
+
+@contextlib.contextmanager
+def _telling_refusals(sentence: str, remedy: str = "") -> Iterator[None]:
+    """Raise `RunError` in place of what the system says when files cannot be read or written."""
+    try:
+        yield
+    except OSError as error:
+        raise RunError(f"{sentence} ({reason(error)}){remedy and f': {remedy}'}.") from None
+
+
+def _complain_about(state: State, folder: Path) -> None:
+    """Tell what was not as it should be in a run; raise `RunError` if units are missing."""
     complain(0, *state.refused)
     if state.changed:
         complain(0, f"{folder} held another campaign: of its units those that this one asks for were kept.")
@@ -128,12 +179,6 @@ def campaign_run(
     if state.failures:
         complain(0, *state.failures[:20])
         raise RunError(f"{len(state.failures)} of {state.units} units could not be computed; the others are kept.")
-    if not quiet:
-        say(
-            f"{state.units} units: {state.kept} were there, {state.computed} computed in "
-            f"{time.monotonic() - started:.1f} s. To put them together:"
-        )
-        print(f"gonio campaign merge {folder}")
 
 
 def _check_numbers(**numbers: tuple[int | None, int]) -> None:
@@ -156,18 +201,18 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 @contextlib.contextmanager
-def _campaign_progress(quiet: bool) -> Iterator[Callable[[Any], None]]:
+def _campaign_progress(quiet: bool) -> Iterator[Callable[[State], None]]:
     """How far the campaign is: a bar on a terminal, a line every few seconds elsewhere, both on stderr."""
     started = last = time.monotonic()
 
-    def words(state: Any) -> str:
+    def words(state: State) -> str:
         rate = state.rays / max(time.monotonic() - started, 1e-3)
         found = f"{state.kept + state.computed} of {state.units} units, {rays_per_second(rate)}"
         if state.workers is None:
             return found
         return f"{found}, {state.workers} workers" if state.workers else "waiting for workers"
 
-    def line(state: Any) -> None:
+    def line(state: State) -> None:
         nonlocal last
         now = time.monotonic()
         if now - last >= PLAIN_PROGRESS_SECONDS and state.paths_done:
@@ -199,10 +244,10 @@ def _duration(seconds: float) -> str:
 
 @campaigns.command(name="plan")
 def campaign_plan(
-    file: Path,
+    file: CampaignFile,
     /,
     *,
-    overrides: Overrides = (),
+    overrides: BaseOverrides = (),
     pilot: int | None = None,
     workers: int = 0,
     threads: int | None = None,
@@ -215,10 +260,6 @@ def campaign_plan(
 
     Parameters
     ----------
-    file
-        The campaign, a TOML file such as configs/roughness_and_metal.toml.
-    overrides
-        Put a value in place of the base experiment's: --set goniometer.paths=10000
     pilot
         Paths of each of the pilot's units; as many as can be timed if not given.
     workers
@@ -231,11 +272,9 @@ def campaign_plan(
 
     _check_numbers(pilot=(pilot, 1), workers=(workers, 0), threads=(threads, 1))
     campaign = Campaign.read(file, overrides)
-    try:
-        with _steps("measuring a pilot") as show:
-            forecast = plan(campaign, workers=workers, threads=threads, pilot=pilot, progress=show)
-    except OSError as error:
-        raise RunError(f"The pilot's temporary folder cannot be written ({reason(error)}): set TMPDIR.") from None
+    refused = _telling_refusals("The pilot's temporary folder cannot be written", "set TMPDIR")
+    with refused, _steps("measuring a pilot") as show:
+        forecast = plan(campaign, workers=workers, threads=threads, pilot=pilot, progress=show)
     targets = sorted({e.goniometer.target_error for e in campaign.experiments if e.goniometer.target_error})
     show_table(f"Forecast for {campaign.title or file}", _forecast_table(forecast))
     for sentence in _forecast_sentences(forecast, targets):
@@ -262,14 +301,16 @@ def _forecast_table(forecast: Forecast) -> Table:
         "units on disk": _bytes(forecast.units_bytes),
         "merged on disk": _bytes(forecast.merged_bytes),
         "memory": "unknown" if forecast.memory is None else _bytes(forecast.memory),
-        "error of a bin": "{:.2%} (median of the experiments), {:.2%} (the worst)".format(*forecast.bin_error),
-        "error of the albedo": "{:.2g}% (median), {:.2g}% (the worst)".format(
-            *(100 * e for e in forecast.albedo_error)
-        ),
+        "error of a bin": _median_and_worst(forecast.bin_error),
+        "error of the albedo": _median_and_worst(forecast.albedo_error),
     }
     for row in rows.items():
         table.add_row(*row)
     return table
+
+
+def _median_and_worst(errors: tuple[float, float]) -> str:
+    return f"{percent(errors[0])} (median of the experiments), {percent(errors[1])} (the worst)"
 
 
 def _forecast_sentences(forecast: Forecast, targets: Sequence[float]) -> Iterator[str]:
@@ -311,7 +352,7 @@ def _bytes(size: int) -> str:
 
 
 @contextlib.contextmanager
-def _steps(words: str) -> Iterator[Callable[[int, int], None]]:
+def _steps(words: str) -> Iterator[Steps]:
     """A bar on a terminal for so many steps; nothing elsewhere."""
     if not sys.stderr.isatty():
         yield lambda done, total: None
@@ -325,16 +366,10 @@ def _steps(words: str) -> Iterator[Callable[[int, int], None]]:
 
 
 @campaigns.command(name="status")
-def campaign_status(folder: Path, /) -> None:
-    """Tell how far a campaign is, and which runs work on it.
-
-    Parameters
-    ----------
-    folder
-        The campaign's folder.
-    """
-    from gonio.campaign.running import seconds_left
-    from gonio.campaign.store import CampaignStore, status
+def campaign_status(folder: CampaignFolder, /) -> None:
+    """Tell how far a campaign is, and which runs work on it."""
+    from gonio.campaign.status import seconds_left, status
+    from gonio.campaign.store import CampaignStore
 
     found = status(CampaignStore(folder))
     left = seconds_left(CampaignStore(folder)) if found.runs else None
@@ -351,20 +386,17 @@ def campaign_status(folder: Path, /) -> None:
 
 
 @campaigns.command(name="verify")
-def campaign_verify(folder: Path, /) -> None:
+def campaign_verify(folder: CampaignFolder, /) -> None:
     """Verify that stored files are intact; damaged ones are set aside, so that the next run computes them.
 
-    Parameters
-    ----------
-    folder
-        The campaign's folder.
+    This is about files: gonio check is the self-check of one measurement, and
+    gonio validate holds the instrument to exact results.
     """
-    from gonio.campaign.store import CampaignStore, verify
+    from gonio.campaign.status import verify
+    from gonio.campaign.store import CampaignStore
 
-    try:
+    with _telling_refusals(f"{folder} cannot be read or written"):
         sound, sentences = verify(CampaignStore(folder))
-    except OSError as error:
-        raise RunError(f"{folder} cannot be read or written ({reason(error)}).") from None
     complain(0, *sentences)
     say(f"{sound} unit{'s' * (sound != 1)} {'are' if sound != 1 else 'is'} sound.")
     if sentences:
@@ -372,21 +404,15 @@ def campaign_verify(folder: Path, /) -> None:
 
 
 @campaigns.command(name="merge")
-def campaign_merge(folder: Path, /) -> None:
+def campaign_merge(folder: CampaignFolder, /) -> None:
     """Put finished units together: one measurement for each experiment, and index.csv with their parameters.
 
-    Parameters
-    ----------
-    folder
-        The campaign's folder; DIR/measurements is written.
+    Writes DIR/measurements in the campaign's folder.
     """
     from gonio.campaign.results import merge
 
-    try:
-        with _steps("merging") as show:
-            merged = merge(folder, show)
-    except OSError as error:
-        raise RunError(f"{folder} cannot be read or written ({reason(error)}).") from None
+    with _telling_refusals(f"{folder} cannot be read or written"), _steps("merging") as show:
+        merged = merge(folder, show)
     complain(0, *merged.damaged)
     if len(merged.processors) > 1:
         complain(
@@ -422,7 +448,7 @@ def _advise(merged: Merged) -> None:
 
 @campaigns.command(name="publish")
 def campaign_publish(
-    folder: Path,
+    folder: CampaignFolder,
     /,
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
@@ -430,7 +456,7 @@ def campaign_publish(
     licence: Annotated[str, Parameter(name=["--licence", "--license"])],
     title: str | None = None,
     description: str = "",
-    single: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    single: Flag = False,
 ) -> None:
     """Make a data set of a finished campaign, ready for an archive that gives it a DOI.
 
@@ -440,8 +466,6 @@ def campaign_publish(
 
     Parameters
     ----------
-    folder
-        The campaign's folder.
     output
         The data set's folder, which must not exist yet.
     creator
@@ -464,11 +488,8 @@ def campaign_publish(
     for name, text in (("licence", licence), *(("creator", one) for one in creator)):
         if not text.strip():
             raise InputError(f"--{name} is empty: a data set without one cannot be used by others.")
-    try:
-        with _steps("publishing") as show:
-            publish(folder, output, About(heading, creator, licence, description), single, show)
-    except OSError as error:
-        raise RunError(f"{output} cannot be written ({reason(error)}): nothing was published.") from None
+    with _telling_refusals(f"{output} cannot be written", "nothing was published"), _steps("publishing") as show:
+        publish(folder, output, About(heading, creator, licence, description), single, show)
     print(output)
 
 
