@@ -1,4 +1,4 @@
-"""`gonio campaign plan | run | status | verify | merge | publish`: many measurements in one folder."""
+"""`gonio campaign run | status | verify | merge | publish`: many measurements in one folder."""
 
 from __future__ import annotations
 
@@ -25,14 +25,9 @@ from gonio.cli.terminal import (
     rays_per_second,
     reason,
     say,
-    show_table,
 )
-from gonio.wording import percent
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from gonio.campaign.planning import Forecast
     from gonio.campaign.queue import State
     from gonio.campaign.results import Merged, Steps
     from gonio.campaign.running import WorkerPool
@@ -103,13 +98,14 @@ def campaign_run(
     from gonio.campaign.sweep import Campaign
     from gonio.toml_files import InputError
 
-    _check_numbers(workers=(workers, 0), threads=(threads, 1))
+    check_numbers(workers=(workers, 0), threads=(threads, 1))
     if scheduler is not None and (workers or threads):
         raise InputError("--scheduler: its workers have threads of their own, leave --workers and --threads out.")
     part = _shard(shard)
     campaign, folder = Campaign.read(file, overrides), output or Path("out") / file.stem
     check_writable(folder)
-    started, latest = time.monotonic(), list[State]()
+    started = time.monotonic()
+    latest: list[State] = []
     with (
         _telling_what_is_kept(folder, latest),
         _worker_pool(workers, threads, scheduler) as pool,
@@ -151,7 +147,7 @@ def _telling_what_is_kept(folder: Path, latest: Sequence[State]) -> Iterator[Non
 
     kept = "the same command continues"
     try:
-        with _telling_refusals(f"{folder} cannot be written", f"finished units are kept, {kept}"):
+        with telling_system_errors(f"{folder} cannot be written", f"finished units are kept, {kept}"):
             yield
     except KeyboardInterrupt:
         done = f"{latest[0].kept + latest[0].computed} of {latest[0].units}" if latest else "finished"
@@ -161,7 +157,7 @@ def _telling_what_is_kept(folder: Path, latest: Sequence[State]) -> Iterator[Non
 
 
 @contextlib.contextmanager
-def _telling_refusals(sentence: str, remedy: str = "") -> Iterator[None]:
+def telling_system_errors(sentence: str, remedy: str = "") -> Iterator[None]:
     """Raise `RunError` in place of what the system says when files cannot be read or written."""
     try:
         yield
@@ -181,7 +177,7 @@ def _complain_about(state: State, folder: Path) -> None:
         raise RunError(f"{len(state.failures)} of {state.units} units could not be computed; the others are kept.")
 
 
-def _check_numbers(**numbers: tuple[int | None, int]) -> None:
+def check_numbers(**numbers: tuple[int | None, int]) -> None:
     """Raise `InputError` for an option that is below its least value; None is not given."""
     from gonio.toml_files import InputError
 
@@ -218,7 +214,7 @@ def _campaign_progress(quiet: bool) -> Iterator[Callable[[State], None]]:
         if now - last >= PLAIN_PROGRESS_SECONDS and state.paths_done:
             last = now
             left = (now - started) * max(state.paths - state.paths_done, 0) / state.paths_done
-            complain(0, f"{state.paths_done / state.paths:4.0%} done, {words(state)}, {_duration(left)} left")
+            complain(0, f"{state.paths_done / state.paths:4.0%} done, {words(state)}, {duration(left)} left")
 
     if quiet:
         yield lambda state: None
@@ -235,124 +231,15 @@ def _campaign_progress(quiet: bool) -> Iterator[Callable[[State], None]]:
             )
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """A time that people can read: 40 s, 12 min, 3.4 h."""
     if seconds < 300:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
-@campaigns.command(name="plan")
-def campaign_plan(
-    file: CampaignFile,
-    /,
-    *,
-    overrides: BaseOverrides = (),
-    pilot: int | None = None,
-    workers: int = 0,
-    threads: int | None = None,
-) -> None:
-    """Tell how long a campaign will take, how much disk, and how exact it will be, before it is run.
-
-    A pilot is measured: up to 16 of its units that differ as much as they can,
-    each with few paths. What it took is interpolated between them. Give a target
-    to learn how many paths it takes: --set goniometer.target_error=0.02
-
-    Parameters
-    ----------
-    pilot
-        Paths of each of the pilot's units; as many as can be timed if not given.
-    workers
-        Processes that will share the cores of this machine, as in gonio campaign run.
-    threads
-        Threads of each.
-    """
-    from gonio.campaign.planning import plan
-    from gonio.campaign.sweep import Campaign
-
-    _check_numbers(pilot=(pilot, 1), workers=(workers, 0), threads=(threads, 1))
-    campaign = Campaign.read(file, overrides)
-    refused = _telling_refusals("The pilot's temporary folder cannot be written", "set TMPDIR")
-    with refused, _steps("measuring a pilot") as show:
-        forecast = plan(campaign, workers=workers, threads=threads, pilot=pilot, progress=show)
-    targets = sorted({e.goniometer.target_error for e in campaign.experiments if e.goniometer.target_error})
-    show_table(f"Forecast for {campaign.title or file}", _forecast_table(forecast))
-    for sentence in _forecast_sentences(forecast, targets):
-        say(sentence)
-
-
-def _forecast_table(forecast: Forecast) -> Table:
-    """What a campaign will take, a row for each quantity."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, show_header=False, pad_edge=False)
-    paths = f"{forecast.paths:,}"
-    if forecast.paths_needed > forecast.paths:
-        paths = f"{_rounded(forecast.paths_needed)} for the target, beyond {paths}"
-    processes = f"{forecast.workers} worker{'s' * (forecast.workers > 1)}"
-    threads = f"{forecast.threads} thread{'s' * (forecast.threads > 1)}"
-    rows = {
-        "experiments": f"{forecast.experiments:,}",
-        "units of work": f"{forecast.units:,}, on {forecast.reliefs:,} surfaces",
-        "paths": paths,
-        "time": f"{_duration(forecast.seconds)} with {processes} of {threads}",
-        "work": f"{forecast.work * forecast.threads / 3600:.3g} core hours",
-        "units on disk": _bytes(forecast.units_bytes),
-        "merged on disk": _bytes(forecast.merged_bytes),
-        "memory": "unknown" if forecast.memory is None else _bytes(forecast.memory),
-        "error of a bin": _median_and_worst(forecast.bin_error),
-        "error of the albedo": _median_and_worst(forecast.albedo_error),
-    }
-    for row in rows.items():
-        table.add_row(*row)
-    return table
-
-
-def _median_and_worst(errors: tuple[float, float]) -> str:
-    return f"{percent(errors[0])} (median of the experiments), {percent(errors[1])} (the worst)"
-
-
-def _forecast_sentences(forecast: Forecast, targets: Sequence[float]) -> Iterator[str]:
-    """What the numbers of a forecast mean."""
-    traced = [pilot.paths for pilot in forecast.pilots]
-    yield (
-        f"Measured: {len(traced)} of {forecast.units} units, with {min(traced):,} to {max(traced):,} paths each; all "
-        "others are interpolated."
-    )
-    yield (
-        "Errors are relative standard errors of Monte Carlo in one specimen, at the worst incidence of an experiment: "
-        "half of its light leaves through bins with a smaller one. Several specimens make them smaller; how far "
-        "specimens differ no pilot of one can tell."
-    )
-    if targets:
-        wanted = f"{targets[0]:.3g}" if len(targets) == 1 else f"{targets[0]:.3g} to {targets[-1]:.3g}"
-        yield (
-            f"target_error = {wanted} takes {forecast.paths_needed / forecast.paths:.3g} times the paths that "
-            "goniometer.paths asks for."
-        )
-    if forecast.beyond:
-        yield (
-            f"In {forecast.beyond} experiments the target needs more paths than can be summed exactly: ask for a "
-            "larger target_error, or for wider bins."
-        )
-
-
-def _rounded(count: int) -> str:
-    """A large number that is an estimate."""
-    return f"{float(f'{count:.3g}'):,.0f}"
-
-
-def _bytes(size: int) -> str:
-    """A size that people can read: 40 kB, 1.3 GB."""
-    for unit, scale in (("GB", 1e9), ("MB", 1e6)):
-        if size >= 0.95 * scale:
-            return f"{size / scale:.3g} {unit}"
-    return f"{size / 1e3:.3g} kB"
-
-
 @contextlib.contextmanager
-def _steps(words: str) -> Iterator[Steps]:
+def steps(words: str) -> Iterator[Steps]:
     """A bar on a terminal for so many steps; nothing elsewhere."""
     if not sys.stderr.isatty():
         yield lambda done, total: None
@@ -379,7 +266,7 @@ def campaign_status(folder: CampaignFolder, /) -> None:
     say(
         f"{found.units_finished} of {found.units} units are finished, {share:.0%} of the paths; "
         f"{found.experiments_finished} of {found.experiments} experiments are complete"
-        f"{'' if left is None else f', about {_duration(left)} are left'}."
+        f"{'' if left is None else f', about {duration(left)} are left'}."
     )
     for run, units in found.runs.items():
         say(f"{run}: {units} unit{'s' * (units > 1)} under way.")
@@ -395,7 +282,7 @@ def campaign_verify(folder: CampaignFolder, /) -> None:
     from gonio.campaign.status import verify
     from gonio.campaign.store import CampaignStore
 
-    with _telling_refusals(f"{folder} cannot be read or written"):
+    with telling_system_errors(f"{folder} cannot be read or written"):
         sound, sentences = verify(CampaignStore(folder))
     complain(0, *sentences)
     say(f"{sound} unit{'s' * (sound != 1)} {'are' if sound != 1 else 'is'} sound.")
@@ -411,7 +298,7 @@ def campaign_merge(folder: CampaignFolder, /) -> None:
     """
     from gonio.campaign.results import merge
 
-    with _telling_refusals(f"{folder} cannot be read or written"), _steps("merging") as show:
+    with telling_system_errors(f"{folder} cannot be read or written"), steps("merging") as show:
         merged = merge(folder, show)
     complain(0, *merged.damaged)
     if len(merged.processors) > 1:
@@ -488,7 +375,7 @@ def campaign_publish(
     for name, text in (("licence", licence), *(("creator", one) for one in creator)):
         if not text.strip():
             raise InputError(f"--{name} is empty: a data set without one cannot be used by others.")
-    with _telling_refusals(f"{output} cannot be written", "nothing was published"), _steps("publishing") as show:
+    with telling_system_errors(f"{output} cannot be written", "nothing was published"), steps("publishing") as show:
         publish(folder, output, About(heading, creator, licence, description), single, show)
     print(output)
 
