@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import os
 import time
 from pathlib import Path
@@ -14,7 +15,7 @@ from toys import KINDS, UNITS, Gonio, assert_same, content, index
 
 from gonio.campaign import running
 from gonio.campaign.status import status
-from gonio.campaign.store import CampaignStore, DamagedError, pack, unpack
+from gonio.campaign.store import CampaignStore, DamagedError, pack, unpack, write_durably
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
 from gonio.toml_files import InputError
@@ -109,6 +110,13 @@ def test_a_damaged_manifest_is_written_anew(copied: Path, toy: Campaign, finishe
         status(CampaignStore(copied))
     assert running.run(toy, copied).computed == 0
     assert_same(copied, finished)
+
+
+def test_a_manifest_of_another_format_is_told(copied: Path) -> None:
+    manifest = CampaignStore(copied).manifest()
+    CampaignStore(copied).manifest_file.write_text(json.dumps(manifest | {"format_version": 7}))
+    with pytest.raises(InputError, match=r"its format_version is 7, and this gonio reads 1: run the campaign again"):
+        status(CampaignStore(copied))
 
 
 def test_a_full_disk_is_one_sentence_and_loses_nothing(
