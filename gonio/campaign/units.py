@@ -101,6 +101,7 @@ def _relief(experiment: Experiment, realisation: int) -> dict[str, Any]:
         "surface": _by_content(_tables(experiment)["surface"]),
         "seed": experiment.seed,
         "realisation": realisation,
+        # Some surfaces are stratified over all their realisations.
         "realisations": experiment.realisations if getattr(experiment.surface, "stratified", False) else None,
     }
 

@@ -84,9 +84,9 @@ def test_each_relief_is_built_once(toy: Campaign, tmp_path: Path, monkeypatch: p
     """Four reliefs (two slopes, two realisations) serve 24 units of two materials."""
     build, built = ms.Gaussian.build, list[tuple[float, int]]()
 
-    def counted(self: ms.Gaussian, seed: int) -> ms.HeightField:
-        built.append((self.alpha, seed))
-        return build(self, seed)
+    def counted(self: ms.Gaussian, seed: int, realisation: int, realisations: int) -> ms.HeightField:
+        built.append((self.alpha, realisation))
+        return build(self, seed, realisation, realisations)
 
     monkeypatch.setattr(ms.Gaussian, "build", counted)
     running.run(toy, tmp_path)
