@@ -16,6 +16,7 @@ from bench import in_turn, table, timed
 import gonio
 import microsurfaces as ms
 from gonio.campaign import running
+from gonio.campaign.processes import ProcessPool
 from gonio.campaign.store import CampaignStore
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
@@ -25,26 +26,26 @@ UNITS = 300
 MANY = 10_000
 REPETITIONS = 5
 
-SMALL = gonio.Goniometer(
-    theta_i=(0.0, 30.0, 60.0), paths=16, replicates=4,
-    detector=gonio.HemisphereGrid(theta_step=2.0, phi_step=3.0),
-)  # fmt: skip
+FINE = gonio.HemisphereGrid(theta_step=2.0, phi_step=3.0)
+SMALL = gonio.Goniometer(theta_i=(0.0, 30.0, 60.0), paths=16, replicates=4, detector=FINE)
 PLAIN = ms.Gaussian(alpha=0.3, side=100.0, samples=32)
+INCIDENCES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 80.0, 85.0)
 HEAVY = Experiment(
-    ms.Gaussian(alpha=0.5, side=300.0, samples=512), gonio.Conductor("Au"),
-    replace(SMALL, theta_i=(0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 80.0, 85.0), paths=2_000_000,
-            detector=gonio.HemisphereGrid()),
+    ms.Gaussian(alpha=0.5, side=300.0, samples=512),
+    gonio.Conductor("Au"),
+    replace(SMALL, theta_i=INCIDENCES, paths=2_000_000, detector=gonio.HemisphereGrid()),
     realisations=6,
-)  # fmt: skip
+)
 """48 units of about a second."""
 
 RUN = """
 import resource, sys
 from pathlib import Path
 from gonio.campaign import running
+from gonio.campaign.processes import ProcessPool
 from gonio.campaign.sweep import Campaign
 if __name__ == "__main__":
-    running.run(Campaign.read(sys.argv[1]), sys.argv[2], workers=2)
+    running.run(Campaign.read(sys.argv[1]), sys.argv[2], ProcessPool(2))
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
 """
 SWEPT = """
@@ -100,7 +101,7 @@ def _workers() -> tuple[str, str, str]:
 
     def run(workers: int) -> None:
         with _folder() as folder:
-            running.run(campaign, folder, workers=workers, threads=1)
+            running.run(campaign, folder, ProcessPool(workers, threads=1))
 
     times = in_turn({"two": lambda: run(2), "one": lambda: run(1)}, 3)
     ratio = times["two"].times_faster(times["one"])
@@ -114,10 +115,10 @@ def _status() -> tuple[str, str, str]:
     grids = replace(SMALL, theta_i=(0.0,), phi_i=tuple(7.2 * k for k in range(50)))
     campaign = Campaign.of([Experiment(PLAIN, gonio.Mirror(), grids, seed=seed, realisations=10) for seed in range(20)])
     with _folder() as folder:
-        plan, home = Plan.of(campaign), CampaignStore(folder)
-        home.create(plan.manifest())
+        plan, store = Plan.of(campaign), CampaignStore(folder)
+        store.create(plan.manifest())
         for unit in plan.shard(1, 1)[: 7 * MANY // 10]:
-            (home.units / f"{unit.name}.npz").touch()
+            (store.units / f"{unit.name}.npz").touch()
         command = [sys.executable, "-m", "gonio", "campaign", "status", str(folder)]
         seconds = sorted(timed(lambda: subprocess.run(command, check=True, capture_output=True)) for _ in range(5))
     return f"status of {MANY:,} units", f"{seconds[2]:.2f} s", "gonio campaign status, start of Python included"

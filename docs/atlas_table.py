@@ -19,10 +19,8 @@ from gonio.sphere import direction
 PAGE = Path(__file__).with_name("models.md")
 START, END = "<!-- docs/atlas_table.py -->\n", "<!-- end -->"
 ALPHAS, THETAS = (0.1, 0.3, 0.5, 0.7, 1.0), (0.0, 45.0, 75.0, 85.0)
-HEAD = (
-    "alpha", "light", "lossless: 1 hit", "Smith", "2 hits", "Smith", "3 and more", "Smith",
-    "gold: all", "Smith", "Smith, 1 hit",
-)  # fmt: skip
+LOSSLESS = ("lossless: 1 hit", "Smith", "2 hits", "Smith", "3 and more", "Smith")
+HEAD = ("alpha", "theta_i", *LOSSLESS, "gold: all", "Smith", "Smith, 1 hit")
 RED = 650.0
 WALKS = 1_000_000
 

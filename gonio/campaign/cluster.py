@@ -1,4 +1,4 @@
-"""Computes the units of a campaign on a running Dask cluster whose machines share the folder's file system.
+"""Workers that are those of a running Dask cluster, whose machines share the folder's file system.
 
 A worker gets one unit at a time, of the relief that it has built already if there is one, and writes the unit itself:
 all that comes back is how far it is, or what is wrong. Dask finds the workers and tells which are alive; who computes
@@ -11,6 +11,7 @@ import contextlib
 import functools
 import hashlib
 import importlib.metadata
+import itertools
 import logging
 import secrets
 import tempfile
@@ -24,32 +25,44 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from gonio.campaign import running
-from gonio.campaign.running import REPORT_SECONDS, ClusterError, Queue, Report, attempt
+from gonio.campaign.queue import REPORT_SECONDS, Queue, Report, given_up
 from gonio.campaign.store import CampaignStore
+from gonio.campaign.units import Unit, UnitRunner, versions
+from gonio.experiment import Experiment
+from gonio.goniometer import Progress
+from gonio.toml_files import InputError
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from gonio.campaign.units import Unit, UnitRunner
-    from gonio.experiment import Experiment
-    from gonio.goniometer import Progress
-
 CONNECT_SECONDS = 10.0
 """A scheduler that does not answer by then is taken for absent."""
 
-MEET_SECONDS = 1.0
+UPDATE_SECONDS = 1.0
 """Workers may come and go; they are counted this often."""
 
 SHARED_SECONDS = 10.0
 """A shared file system shows a new file everywhere by then."""
 
 
-@contextlib.contextmanager
-def connected(address: str) -> Iterator[Client]:
-    """A connection to the scheduler at `address`. Raises `InputError` where none answers or Dask is not installed."""
-    from gonio.toml_files import InputError
+class ClusterError(RuntimeError):
+    """A cluster cannot go on: why, without the full stop."""
 
+
+@dataclass(frozen=True)
+class ClusterPool:
+    """All workers of a cluster that have the same packages and see the folder, each with its own number of threads."""
+
+    client: Client
+
+    def compute(self, queue: Queue, experiments: Sequence[Experiment], report: Report) -> None:
+        """Compute all units; see `WorkerPool`. Raises `InputError` if no worker is fit, `ClusterError` and OSError."""
+        _Coordinator(self.client, queue, experiments, report, str(queue.store.path.absolute())).run()
+
+
+@contextlib.contextmanager
+def connected(address: str) -> Iterator[ClusterPool]:
+    """The workers of the scheduler at `address`. Raises `InputError` where none answers or Dask is not installed."""
     try:
         from distributed import Client
     except ImportError:
@@ -64,7 +77,7 @@ def connected(address: str) -> Iterator[Client]:
                 "scheduler prints, such as tcp://10.0.0.1:8786."
             ) from None
         with client:
-            yield client
+            yield ClusterPool(client)
 
 
 def _check(address: str) -> None:
@@ -85,52 +98,57 @@ def _silent(logger: logging.Logger) -> Iterator[None]:
         logger.setLevel(level)
 
 
+# --- The process that hands out units --------------------------------------------------------------------------------
+
+
 @dataclass
 class _Worker:
     """A worker of the cluster, and what it does now."""
 
     address: str
     threads: int
-    future: Any
-    """Its greeting first, then unit after unit; None while there is nothing to do."""
+    future: Any = None
+    """Its examination first, then unit after unit; None while there is nothing to do."""
     unit: Unit | None = None
     relief: str | None = None
+    """Of the unit that it had last: it is built there."""
     fit: bool = False
-    """Whether it may compute: the greeting went well."""
+    """Whether it may compute: it passed the examination."""
     leaving: bool = False
 
 
 @dataclass
-class WorkerPool:
-    """The workers of a cluster, and who has which unit."""
+class _Coordinator:
+    """Gives each worker of a cluster its next unit."""
 
     client: Client
-    experiments: Sequence[Experiment]
     queue: Queue
+    experiments: Sequence[Experiment]
     report: Report
-    folder: CampaignStore
+    folder: str
+    """As all machines see it."""
     _workers: dict[int, _Worker] = field(default_factory=dict)
-    _hired: int = 0
-    _met: float = 0.0
-    _heard: SimpleQueue[tuple[int, Any]] = field(default_factory=SimpleQueue)
+    _numbers: Iterator[int] = field(default_factory=itertools.count)
+    _updated: float = 0.0
+    _messages: SimpleQueue[tuple[int, Any]] = field(default_factory=SimpleQueue)
     _topic: str = field(default_factory=lambda: f"gonio-{secrets.token_hex(8)}")
 
     def run(self) -> None:
-        """Compute all units. Raises `InputError` if every worker is unfit, `ClusterError` and OSError."""
-        self.client.subscribe_topic(self._topic, lambda event: self._heard.put(event[1]))
+        """Compute all units; see `ClusterPool.compute`."""
+        self.client.subscribe_topic(self._topic, lambda event: self._messages.put(event[1]))
         try:
             while self.queue.left or any(worker.unit for worker in self._workers.values()):
-                self._meet()
+                self._update_workers()
                 self._assign()
                 self._listen()
                 self.report(self.queue.state)
         finally:
             self.queue.release_all()
-            self._dismiss()
+            self._forget_reliefs()
 
-    def _meet(self) -> None:
-        """Greet workers that have come, give up those that are gone."""
-        if time.monotonic() - self._met < MEET_SECONDS:
+    def _update_workers(self) -> None:
+        """Examine workers that have come, give up those that are gone."""
+        if time.monotonic() - self._updated < UPDATE_SECONDS:
             return
         present = self._present()
         for number, worker in tuple(self._workers.items()):
@@ -141,8 +159,8 @@ class WorkerPool:
         known = {worker.address for worker in self._workers.values()}
         for address, worker in present.items():
             if address not in known and worker["status"] == "running":
-                self._greet(address, worker["nthreads"])
-        self._met = time.monotonic()
+                self._examine(address, worker["nthreads"])
+        self._updated = time.monotonic()
 
     def _present(self) -> dict[str, Any]:
         """The workers that the scheduler knows."""
@@ -152,46 +170,34 @@ class WorkerPool:
             raise _gone() from None
         return workers
 
-    def _greet(self, address: str, threads: int) -> None:
+    def _examine(self, address: str, threads: int) -> None:
         """Have a new worker tell whether it may compute."""
-        from gonio.campaign.units import versions
-
-        known = hashlib.sha256((self.folder.path / "manifest.json").read_bytes()).hexdigest()
-        self._workers[self._hired] = _Worker(address, threads, None)
-        self._give(self._hired, _greeting, _all_versions(versions()), str(self.folder.path), known, SHARED_SECONDS)
-        self._hired += 1
+        number, manifest = next(self._numbers), _manifest(self.folder) or ""
+        self._workers[number] = _Worker(address, threads)
+        self._give(number, _examined, _all_versions(), self.folder, manifest, SHARED_SECONDS)
 
     def _give(self, number: int, work: Any, *what: Any) -> None:
         """Have one worker, and no other, do something; its end is heard of in `_listen`."""
         worker = self._workers[number]
         worker.future = self.client.submit(work, *what, workers=[worker.address], pure=False, retries=0)
-        worker.future.add_done_callback(lambda future: self._heard.put((number, future)))
+        worker.future.add_done_callback(lambda future: self._messages.put((number, future)))
 
     def _assign(self) -> None:
         """Give every idle worker a unit, if there is one for it."""
         for number, worker in self._workers.items():
             if worker.fit and not worker.leaving and worker.unit is None:
                 others = [other.relief for other in self._workers.values() if other.unit and other.relief]
-                worker.unit = self.queue.take(worker.relief, others)
-                if worker.unit is None:
+                unit = self.queue.take(worker.relief, others)
+                if unit is None:
                     return
-                worker.relief = worker.unit.relief
-                experiment = self.experiments[worker.unit.experiment]
-                self._give(
-                    number,
-                    _compute,
-                    worker.unit,
-                    experiment,
-                    str(self.folder.path),
-                    worker.threads,
-                    number,
-                    self._topic,
-                )
+                worker.unit, worker.relief = unit, unit.relief
+                tell = number, self._topic
+                self._give(number, _compute, unit, self.experiments[unit.experiment], self.folder, worker.threads, tell)
 
     def _listen(self) -> None:
         """Wait for what workers tell, and take all of it."""
         with contextlib.suppress(Empty):
-            number, content = self._heard.get(timeout=REPORT_SECONDS)
+            number, content = self._messages.get(timeout=REPORT_SECONDS)
             while True:
                 worker = self._workers.get(number)
                 if worker is not None and worker.future is content:
@@ -200,7 +206,7 @@ class WorkerPool:
                     name, paths, rays = content
                     if name == worker.unit.name:
                         self.queue.state.current[number] = paths, rays
-                number, content = self._heard.get_nowait()
+                number, content = self._messages.get_nowait()
 
     def _ended(self, number: int, worker: _Worker) -> None:
         """A worker has done what it was given, or could not."""
@@ -209,16 +215,14 @@ class WorkerPool:
             raise _gone()
         error = future.exception() if future.status == "error" else None
         if unit is None:
-            self._greeted(worker, error)
+            self._examination_ended(worker, error)
         else:
-            self.queue.settle(unit, _sentence(error), number, self.queue.state.current.get(number, (0, 0))[1])
+            self.queue.settle(unit, _sentence(error), number)
 
-    def _greeted(self, worker: _Worker, error: BaseException | None) -> None:
+    def _examination_ended(self, worker: _Worker, error: BaseException | None) -> None:
         """A worker is fit, or is left out; raises `InputError` if none is fit."""
-        from gonio.toml_files import InputError
-
         worker.fit = error is None
-        self.queue.state.workers = sum(other.fit for other in self._workers.values())
+        self._count_workers()
         if error is not None:
             why = str(error) if isinstance(error, _UnfitError) else f"cannot run gonio ({_first_line(error)})"
             self.queue.state.refused.append(f"worker {worker.address} {why}")
@@ -227,26 +231,22 @@ class WorkerPool:
 
     def _lost(self, number: int) -> None:
         """A worker is gone: its unit is for another one."""
-        worker, state = self._workers.pop(number), self.queue.state
-        state.workers = sum(other.fit for other in self._workers.values())
-        state.current.pop(number, None)
+        worker = self._workers.pop(number)
+        self._count_workers()
         if worker.future is not None:
             worker.future.cancel()
         if worker.unit is not None:
-            state.deaths += 1
-            if not self.queue.died(worker.unit):
-                self.queue.settle(worker.unit, _died(), number)
+            self.queue.died(worker.unit, number)
 
-    def _dismiss(self) -> None:
-        """Leave nothing behind: units under way stop when their client is gone, reliefs are forgotten."""
+    def _count_workers(self) -> None:
+        self.queue.state.workers = sum(worker.fit for worker in self._workers.values())
+
+    def _forget_reliefs(self) -> None:
+        """Leave nothing behind: units under way stop when their client is gone, what was built is forgotten."""
         fit = [worker.address for worker in self._workers.values() if worker.fit]
         if fit and self.client.status == "running":
             with contextlib.suppress(OSError):
                 self.client.run(_forget, workers=fit, on_error="ignore")
-
-
-def _died() -> str:
-    return f"its worker died {running.DEATHS} times, as when memory is short."
 
 
 def _gone() -> ClusterError:
@@ -260,7 +260,7 @@ def _sentence(error: BaseException | None) -> str | None:
     if error is None or isinstance(error, _FailedError):
         return None if error is None else str(error)
     if isinstance(error, KilledWorker):
-        return _died()
+        return given_up()
     if isinstance(error, OSError):
         raise error
     raise RuntimeError(str(error) if isinstance(error, _BrokenError) else f"a worker failed: {error!r}")
@@ -273,9 +273,17 @@ def _first_line(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}".splitlines()[0]
 
 
-def _all_versions(decisive: dict[str, str]) -> dict[str, str]:
+def _all_versions() -> dict[str, str]:
     """Those that decide the numbers, and that of what carries the units."""
-    return decisive | {"distributed": importlib.metadata.version("distributed")}
+    return versions() | {"distributed": importlib.metadata.version("distributed")}
+
+
+def _manifest(folder: str) -> str | None:
+    """A hash of the manifest; None where there is none to read."""
+    try:
+        return hashlib.sha256(CampaignStore(Path(folder)).manifest_file.read_bytes()).hexdigest()
+    except OSError:
+        return None
 
 
 # --- On a worker -----------------------------------------------------------------------------------------------------
@@ -298,29 +306,31 @@ class _AbandonedError(Exception):
 
 
 @dataclass
-class _Workplace:
-    """A worker process's place of work: units are computed one at a time, each with all of its threads."""
+class _SharedRunner:
+    """What a worker process computes with: one unit at a time, with all of its threads."""
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     runner: UnitRunner | None = None
 
 
 @functools.cache
-def _workplace() -> _Workplace:
-    return _Workplace()
+def _shared() -> _SharedRunner:
+    return _SharedRunner()
 
 
 def _forget() -> None:
-    _workplace().runner = None
+    _shared().runner = None
 
 
-def _greeting(versions: dict[str, str], folder: str, manifest: str, patience: float) -> None:
-    """Raise `_UnfitError` unless this worker has the same packages and can write to the same folder."""
-    from gonio.campaign import units
+def _examined(theirs: dict[str, str], folder: str, manifest: str, patience: float) -> None:
+    """Raise `_UnfitError` unless this worker has the same packages and can write to the same folder.
 
-    ours = _all_versions(units.versions())
+    `theirs` are the coordinator's versions and `manifest` the hash of what it sees, which is to be seen here, too,
+    within `patience` seconds.
+    """
+    ours = _all_versions()
     differing = [
-        f"{name} {ours[name]} instead of {version}" for name, version in versions.items() if ours[name] != version
+        f"{name} {ours[name]} instead of {version}" for name, version in theirs.items() if ours[name] != version
     ]
     if differing:
         raise _UnfitError(
@@ -338,18 +348,14 @@ def _greeting(versions: dict[str, str], folder: str, manifest: str, patience: fl
         raise _UnfitError(f"cannot write to {folder}: {error.strerror}") from None
 
 
-def _manifest(folder: str) -> str | None:
-    try:
-        return hashlib.sha256((Path(folder) / "manifest.json").read_bytes()).hexdigest()
-    except OSError:
-        return None
+def _compute(unit: Unit, experiment: Experiment, folder: str, threads: int, tell: tuple[int, str]) -> None:
+    """Compute and keep a unit; `tell` is this worker's number and the topic under which it tells how far it is.
 
-
-def _compute(unit: Unit, experiment: Experiment, folder: str, threads: int, number: int, topic: str) -> None:
-    """Compute and keep a unit. Raises `_FailedError` if it cannot be, OSError where nothing can be written."""
+    Raises `_FailedError` if the unit cannot be computed, OSError where nothing can be written.
+    """
     from distributed import get_worker
 
-    worker, last = get_worker(), 0.0
+    worker, last, (number, topic) = get_worker(), 0.0, tell
     key = worker.get_current_task()
 
     def progress(paths: int, total: int, rays: int) -> None:
@@ -363,7 +369,7 @@ def _compute(unit: Unit, experiment: Experiment, folder: str, threads: int, numb
 
     # Errors travel as plain text: Dask waits forever for one that it cannot read.
     try:
-        failure = attempt(lambda: _measure(unit, experiment, Path(folder), threads, progress))
+        failure = _attempt(unit, experiment, Path(folder), threads, progress)
     except OSError as error:
         refused: Exception | None = OSError(error.errno, error.strerror or str(error))
     except _AbandonedError:
@@ -376,13 +382,10 @@ def _compute(unit: Unit, experiment: Experiment, folder: str, threads: int, numb
         raise refused
 
 
-def _measure(unit: Unit, experiment: Experiment, folder: Path, threads: int, progress: Progress) -> None:
-    """Measure a unit on this process's runner."""
-    from gonio.campaign.units import UnitRunner
-
-    place = _workplace()
-    with place.lock:
-        if place.runner is None or (place.runner.folder.path, place.runner.threads) != (folder, threads):
-            place.runner = UnitRunner(CampaignStore(folder), threads)
-        runner = place.runner
-        runner.measure(unit, experiment, progress)
+def _attempt(unit: Unit, experiment: Experiment, folder: Path, threads: int, progress: Progress) -> str | None:
+    """`UnitRunner.attempt` of this process's runner."""
+    shared = _shared()
+    with shared.lock:
+        if shared.runner is None or (shared.runner.store.path, shared.runner.threads) != (folder, threads):
+            shared.runner = UnitRunner(CampaignStore(folder), threads)
+        return shared.runner.attempt(unit, experiment, progress)

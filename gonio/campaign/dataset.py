@@ -43,11 +43,12 @@ def open_campaign(folder: str | Path) -> xr.Dataset:
     folder = Path(folder)
     if (folder / SINGLE).exists():
         return xr.open_dataset(folder / SINGLE, engine="h5netcdf")
-    manifest = CampaignStore(folder).manifest()
+    store = CampaignStore(folder)
+    manifest = store.manifest()
     entries = manifest["experiments"]
     _refuse_differences(folder, entries)
-    homes = [CampaignStore(folder).measurements / measurement_file(entries, number) for number in range(len(entries))]
-    files = [path if path.exists() else None for path in homes]
+    paths = [store.measurements / measurement_file(entries, number) for number in range(len(entries))]
+    files = [path if path.exists() else None for path in paths]
     if not any(files):
         raise InputError(f"{folder}: has no merged measurements yet; first: gonio campaign merge {folder}")
     whole = _stacked(Layout.of([entry["parameters"] for entry in entries]), files)
@@ -182,8 +183,7 @@ class _Stack(BackendArray):
         unknown = np.nan if self.dtype.kind == "f" else 0
         empty = _picked(np.broadcast_to(np.array(unknown, self.dtype), self._part), inner)
         read = np.empty((*paths.shape, *empty.shape), self.dtype)
-        for at in np.ndindex(paths.shape):
-            path: Path | None = paths[at]  # type: ignore[assignment]
+        for at, path in np.ndenumerate(paths):
             read[at] = empty if path is None else self._from(path, inner)
         return read
 

@@ -9,7 +9,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from gonio.campaign.results import merge
-from gonio.campaign.running import cores
+from gonio.campaign.processes import cores
+from gonio.campaign.results import Steps, merge
 from gonio.campaign.store import CampaignStore
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan, Unit, UnitRunner, units_of, unpacked
@@ -43,8 +43,6 @@ SMALLEST, GROWTH = 64, 8
 
 MERGED = 2
 """Of so many pilots the merged file is looked at."""
-
-Told = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ def plan(
     workers: int = 0,
     threads: int | None = None,
     pilot: int | None = None,
-    progress: Told | None = None,
+    progress: Steps | None = None,
 ) -> Forecast:
     """Measure a pilot and tell what the campaign will take, with `workers` processes or in this one.
 
@@ -133,9 +131,14 @@ def plan(
 
 
 def _forecast(
-    whole: Plan, units: Sequence[Unit], between: _Between, workers: tuple[int, int], start: float,
-    merged: tuple[float, float], memory: int | None,
-) -> Forecast:  # fmt: skip
+    whole: Plan,
+    units: Sequence[Unit],
+    between: _Between,
+    workers: tuple[int, int],
+    start: float,
+    merged: tuple[float, float],
+    memory: int | None,
+) -> Forecast:
     """What the pilots tell about all units; `workers` is workers and threads, `merged` as `_Trial.merged` has it."""
     asked = np.array([unit.paths for unit in units], np.float64)
     needed, beyond = _needed(whole.campaign, units, between("bin_error"))
@@ -148,13 +151,23 @@ def _forecast(
     traced = np.sqrt(needed * _blocks(units))
     bins, albedos = (_largest(whole, units, between(quantity) / traced) for quantity in ("bin_error", "albedo_error"))
     return Forecast(
-        experiments=len(whole.units), units=len(units), reliefs=len(reliefs),
-        paths=int(asked.sum()), paths_needed=int(needed.sum()), workers=workers[0], threads=workers[1],
-        seconds=start + max(work / workers[0], float((seconds + build).max())), work=work,
-        units_bytes=int(sizes.sum()), merged_bytes=_merged_bytes(whole, units, sizes, merged), memory=memory,
-        bin_error=(float(np.median(bins)), max(bins)), albedo_error=(float(np.median(albedos)), max(albedos)),
-        beyond=beyond, pilots=tuple(between.pilots),
-    )  # fmt: skip
+        experiments=len(whole.units),
+        units=len(units),
+        reliefs=len(reliefs),
+        paths=int(asked.sum()),
+        paths_needed=int(needed.sum()),
+        workers=workers[0],
+        threads=workers[1],
+        seconds=start + max(work / workers[0], float((seconds + build).max())),
+        work=work,
+        units_bytes=int(sizes.sum()),
+        merged_bytes=_merged_bytes(whole, units, sizes, merged),
+        memory=memory,
+        bin_error=(float(np.median(bins)), max(bins)),
+        albedo_error=(float(np.median(albedos)), max(albedos)),
+        beyond=beyond,
+        pilots=tuple(between.pilots),
+    )
 
 
 def _needed(campaign: Campaign, units: Sequence[Unit], error: Floats) -> tuple[Floats, int]:
@@ -204,8 +217,9 @@ def _memory() -> int | None:
 
 # --- Which units, and what lies between them -------------------------------------------------------------------------
 
-_NO_MATTER = ("seed", "realisations", "title", "models", "goniometer.paths", "goniometer.replicates",
-              "goniometer.target_error", "goniometer.theta_i", "goniometer.phi_i")  # fmt: skip
+_NO_MATTER = {"seed", "realisations", "title", "models"} | {
+    f"goniometer.{name}" for name in ("paths", "replicates", "target_error", "theta_i", "phi_i")
+}
 """What changes neither the time of a path nor its scatter, or is taken into account by itself."""
 
 
@@ -287,13 +301,13 @@ class _Trial:
 
     def __init__(self, campaign: Campaign, folder: Path, threads: int, paths: int | None) -> None:
         self._experiments, self._folder, self._threads, self._paths = campaign.experiments, folder, threads, paths
-        self._home = CampaignStore(folder)
-        self._home.units.mkdir(parents=True)
+        self._store = CampaignStore(folder)
+        self._store.units.mkdir(parents=True)
         self._stop = threading.Event()
         self.start = 0.0
         """Seconds that a process takes before it is at its best."""
 
-    def run(self, units: Sequence[Unit], workers: int, progress: Told) -> list[Sample]:
+    def run(self, units: Sequence[Unit], workers: int, progress: Steps) -> list[Sample]:
         """What units take, as many at a time as there are workers."""
         progress(0, len(units))
         self.start = sum(self._warm(unit) for unit in self._one_of_each_kind(units))
@@ -329,7 +343,7 @@ class _Trial:
     def _merged(self, unit: Unit, each: int) -> tuple[int, int]:
         """Sizes of the merged measurement and of its one unit, of a pilot that was measured."""
         experiment = self._small(unit, each)
-        self._home.create(Plan.of(Campaign.of([experiment])).manifest())
+        self._store.create(Plan.of(Campaign.of([experiment])).manifest())
         (file,) = merge(self._folder).files
         return file.stat().st_size, self._file(unit, experiment).stat().st_size
 
@@ -342,14 +356,14 @@ class _Trial:
 
     def _warm(self, unit: Unit) -> float:
         """Seconds that a unit takes if it is the first of its kind, beyond those of the next one."""
-        first, next_ = (self._measure(UnitRunner(self._home, self._threads), unit, 1) for _ in range(2))
+        first, next_ = (self._measure(UnitRunner(self._store, self._threads), unit, 1) for _ in range(2))
         return max(0.0, first - next_)
 
     def _sample(self, unit: Unit) -> Sample:
         """Measure a unit, with more and more paths until it can be timed; the last two times tell what paths cost."""
         goniometer = self._experiments[unit.experiment].goniometer
         asked = math.ceil(goniometer.paths / goniometer.replicates)
-        runner = UnitRunner(self._home, self._threads)
+        runner = UnitRunner(self._store, self._threads)
         first = self._measure(runner, unit, 1)
         least = self._measure(runner, unit, 1)
         runs = [(1, least), (1, least)]
@@ -363,7 +377,7 @@ class _Trial:
         """What two runs tell, each with its paths in a replicate and its seconds."""
         sizes = [self._file(unit, self._small(unit, each)).stat().st_size for each, _ in (less, more)]
         experiment = self._small(unit, more[0])
-        _, arrays = self._home.read(self._file(unit, experiment).stem)
+        _, arrays = self._store.read(self._file(unit, experiment).stem)
         tally = unpacked(experiment.goniometer, arrays)
         paths = tally.paths * tally.replicates
         per_path = growth = 0.0
@@ -372,9 +386,16 @@ class _Trial:
             growth = max(sizes[1] - sizes[0], 0) / math.log(more[0] / less[0])
         bins, albedo = (error * math.sqrt(paths) for error in (median_error(tally), _albedo_error(tally)))
         return Sample(
-            unit, paths, build, max(more[1] - per_path * paths, 0.0), per_path,
-            sizes[1] - growth * math.log(paths), growth, bins, albedo,
-        )  # fmt: skip
+            unit,
+            paths,
+            build,
+            max(more[1] - per_path * paths, 0.0),
+            per_path,
+            sizes[1] - growth * math.log(paths),
+            growth,
+            bins,
+            albedo,
+        )
 
     def _measure(self, runner: UnitRunner, unit: Unit, each: int) -> float:
         """Seconds that a unit took with so many paths a replicate."""
@@ -401,7 +422,7 @@ class _Trial:
         return next(other for other in units_of(0, experiment) if other.incidence == patch)
 
     def _file(self, unit: Unit, experiment: Experiment) -> Path:
-        return self._home.units / f"{self._alone(unit, experiment).name}.npz"
+        return self._store.units / f"{self._alone(unit, experiment).name}.npz"
 
     def _go_on(self, paths: int, total: int, rays: int) -> None:
         if self._stop.is_set():

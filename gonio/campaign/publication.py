@@ -8,7 +8,7 @@ import hashlib
 import json
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,11 @@ import xarray as xr
 
 from gonio import __version__
 from gonio.campaign.dataset import SINGLE, open_campaign, variable_name
-from gonio.campaign.results import Merged, cell, index_of, merge
-from gonio.campaign.store import CampaignStore, keys_of, measurement_file, write_whole
+from gonio.campaign.results import Merged, Steps, cell, index_of, merge
+from gonio.campaign.store import CampaignStore, keys_of, measurement_file, write_durably
 from gonio.netcdf import load, save
 from gonio.noise import Noises
 from gonio.toml_files import InputError
-
-Progress = Callable[[int, int], None]
 
 LICENCES = {
     "CC0-1.0": "https://creativecommons.org/publicdomain/zero/1.0/",
@@ -43,6 +41,14 @@ SHOWN = 24
 
 LISTED = 8
 """At most so many values of a parameter are written out."""
+
+VARIABLES = (
+    "`brdf` is the BRDF, averaged over each bin with the weight of the cosine, and `count` the number of paths that "
+    "arrived there; `order` is the number of surface hits, from single scattering (1) on, and their sum (all). "
+    "`albedo` is the directional-hemispherical reflectance. The energy budget, `escaped` + `absorbed` + `truncated` + "
+    "`lost`, is 1: the light that was launched."
+)
+"""What the README says of the variables beside their table."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,7 @@ class About:
 
 
 def publish(
-    folder: str | Path, target: str | Path, about: About, single: bool = False, progress: Progress | None = None
+    folder: str | Path, target: str | Path, about: About, single: bool = False, progress: Steps | None = None
 ) -> Path:
     """Write the finished campaign in `folder` as a new folder `target`, ready for an archive.
 
@@ -120,9 +126,14 @@ class _Publication:
     about: About
     merged: Merged
     single: bool
-    progress: Progress
+    progress: Steps
     manifest: dict[str, Any] = field(init=False)
     """All that was asked, with the height maps where they are in the publication."""
+
+    @property
+    def _store(self) -> CampaignStore:
+        """The publication, read as a campaign's folder."""
+        return CampaignStore(self.target)
 
     def write(self) -> None:
         """Write everything, the checksums last."""
@@ -132,17 +143,17 @@ class _Publication:
         for path, name in inputs.items():
             (self.target / name).parent.mkdir(exist_ok=True)
             shutil.copyfile(path, self.target / name)
-        write_whole(self.target / "manifest.json", json.dumps(self.manifest, indent=1).encode())
+        write_durably(self._store.manifest_file, json.dumps(self.manifest, indent=1).encode())
         (self.target / "thumbnails").mkdir()
-        CampaignStore(self.target).measurements.mkdir()
+        self._store.measurements.mkdir()
         names = [self._measurement(number) for number in range(len(self.manifest["experiments"]))]
         if self.single:
             _write_single(open_campaign(self.target), self.target / SINGLE, self._attributes())
-            shutil.rmtree(CampaignStore(self.target).measurements)
-        write_whole(self.target / "index.csv", self._index(names).encode())
-        write_whole(self.target / "datacite.json", json.dumps(_datacite(self.about), indent=1).encode())
-        write_whole(self.target / "README.md", self._readme(names).encode())
-        write_whole(self.target / "SHA256SUMS", _checksums(self.target).encode())
+            shutil.rmtree(self._store.measurements)
+        write_durably(self.target / "index.csv", self._index(names).encode())
+        write_durably(self.target / "datacite.json", json.dumps(_datacite(self.about), indent=1).encode())
+        write_durably(self.target / "README.md", self._readme(names).encode())
+        write_durably(self.target / "SHA256SUMS", _checksums(self.target).encode())
 
     def _attributes(self) -> dict[str, str]:
         return {"title": self.about.title, **self.about.attributes(), "versions": json.dumps(self.manifest["versions"])}
@@ -150,13 +161,13 @@ class _Publication:
     def _measurement(self, number: int) -> str:
         """Write one measurement, with what it says of itself, and its drawing; the name of both, without suffix."""
         entries = self.manifest["experiments"]
-        path = CampaignStore(self.target).measurements / measurement_file(entries, number)
+        path = self._store.measurements / measurement_file(entries, number)
         told = self.about.attributes() | {"experiment": json.dumps(entries[number]["experiment"])}
         measurement = load(self.merged.files[number])
         # Written anew: HDF5 would keep what an attribute said before, such as where a file was on this machine.
         save(replace(measurement, attributes=measurement.attributes | told), path)
         drawing = measurement.sketch().replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"', 1)
-        write_whole(self.target / "thumbnails" / f"{path.stem}.svg", drawing.encode())
+        write_durably(self.target / "thumbnails" / f"{path.stem}.svg", drawing.encode())
         self.progress(number + 1, len(entries))
         return path.stem
 
@@ -188,7 +199,7 @@ class _Publication:
                 f"{'; '.join(about.creators)} ({_year()}). {about.title} [data set]. DOI: (assigned by the archive)",
                 f"## What varies\n\n{self._parameters()}",
                 f"## How to open it\n\n{self._opening()}",
-                f"## What is in the files\n\n{_contents(self._sample(names))}",
+                f"## What is in the files\n\n{VARIABLES}\n\n{_contents(self._sample(names))}",
                 f"## How sure it is\n\n{self._sureness()}",
                 f"## How it was measured\n\n{self._method()}",
                 "## How to check it\n\n`sha256sum -c SHA256SUMS` checks that all files are what was published.",
@@ -237,8 +248,8 @@ class _Publication:
         versions = ", ".join(f"{name} {version}" for name, version in self.manifest["versions"].items())
         return (
             "Directions point away from the surface; angles are in degrees, azimuths from x counter-clockwise, "
-            "dphi = phi_o - phi_i (0 on the source's side, 180 on the mirror's); lengths are in µm, wavelengths in nm. "
-            "Geometric optics, unpolarised light: no diffraction, no interference. "
+            "dphi = phi_o - phi_i (0 on the side of the source, 180 on that of the specular direction); lengths are in "
+            "µm, wavelengths in nm. Geometric optics, unpolarised light: no diffraction, no interference. "
             f"Versions: {versions}. Experiment 1, from which the others differ in the parameters above; saved as "
             "experiment.toml it is repeated by `gonio run experiment.toml`:\n\n"
             f"```toml\n{tomli_w.dumps(first)}```"

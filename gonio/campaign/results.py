@@ -12,12 +12,15 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from gonio.campaign.store import CampaignStore, DamagedError, keys_of, measurement_file, write_whole
+from gonio.campaign.store import CampaignStore, DamagedError, keys_of, measurement_file, write_durably
 from gonio.campaign.units import joined
 from gonio.experiment import Experiment
 from gonio.measurement import Measurement
 from gonio.netcdf import save
 from gonio.noise import Noises, noises
+
+Steps = Callable[[int, int], None]
+"""What a long task calls now and then, with the steps done and those in all."""
 
 
 @dataclass
@@ -36,32 +39,33 @@ class Merged:
     """Instruction sets that the units were computed with: the same bits are promised on the same one only."""
 
 
-def merge(folder: str | Path, progress: Callable[[int, int], None] | None = None) -> Merged:
+def merge(folder: str | Path, progress: Steps | None = None) -> Merged:
     """Write DIR/measurements/NUMBER-HASH.nc for every experiment whose units are all there, and index.csv.
 
     Raises `InputError` where there is no campaign, OSError where nothing can be written.
     """
-    home, result, names = CampaignStore(Path(folder)), Merged(), list[str]()
-    entries, finished = home.manifest()["experiments"], home.finished()
-    home.measurements.mkdir(exist_ok=True)
+    store, result, names = CampaignStore(Path(folder)), Merged(), list[str]()
+    entries, finished = store.manifest()["experiments"], store.finished()
+    store.measurements.mkdir(exist_ok=True)
     for number, entry in enumerate(entries):
-        measurement = _measurement(home, entry, result) if finished.issuperset(entry["units"]) else None
+        measurement = _measurement(store, entry, result) if finished.issuperset(entry["units"]) else None
         if measurement is None:
             result.incomplete += 1
             names.append("")
         else:
-            path = home.measurements / measurement_file(entries, number)
+            path = store.measurements / measurement_file(entries, number)
             result.files.append(save(measurement, path))
             names.append(path.name)
             if entry["experiment"]["realisations"] > 1:
                 result.noises[number] = noises(measurement)
         if progress:
             progress(number + 1, len(entries))
-    write_whole(home.measurements / "index.csv", index_of([e["parameters"] for e in entries], {"file": names}).encode())
+    index = index_of([entry["parameters"] for entry in entries], {"file": names})
+    write_durably(store.measurements / "index.csv", index.encode())
     return result
 
 
-def _measurement(home: CampaignStore, entry: Mapping[str, Any], result: Merged) -> Measurement | None:
+def _measurement(store: CampaignStore, entry: Mapping[str, Any], result: Merged) -> Measurement | None:
     """The measurement of one experiment; None if a unit is damaged."""
     experiment = TypeAdapter(Experiment).validate_json(json.dumps(entry["experiment"]))
     units = iter(entry["units"])
@@ -72,10 +76,10 @@ def _measurement(home: CampaignStore, entry: Mapping[str, Any], result: Merged) 
         parts = []
         for unit in (next(units) for _ in range(each)):
             try:
-                parts.append(home.read(unit))
+                parts.append(store.read(unit))
             except DamagedError as error:
                 sound = False
-                result.damaged.append(f"{unit} is damaged, {error}: set aside as {home.set_aside(unit)}.")
+                result.damaged.append(store.set_aside(unit, error))
         if sound:
             processors |= {note["attributes"].pop("instruction_set") for note, _ in parts}
             part = joined(experiment, parts)

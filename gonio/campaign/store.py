@@ -24,7 +24,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.toml_files import InputError
+
 Arrays = Mapping[str, NDArray[Any]]
+
+FORMAT_VERSION = 1
+"""Of a unit's file and of the manifest: the names and units of what they hold."""
 
 ABANDONED_SECONDS = 3600.0
 """A temporary file this old was left behind by a run that was killed."""
@@ -39,6 +44,11 @@ class CampaignStore:
     """The folder of a campaign."""
 
     path: Path
+
+    @property
+    def manifest_file(self) -> Path:
+        """What was asked."""
+        return self.path / "manifest.json"
 
     @property
     def units(self) -> Path:
@@ -56,23 +66,27 @@ class CampaignStore:
             folder.mkdir(parents=True, exist_ok=True)
         self._sweep_up()
         content = json.dumps(manifest, indent=1).encode()
-        path = self.path / "manifest.json"
-        before = path.read_bytes() if path.exists() else None
+        before = self.manifest_file.read_bytes() if self.manifest_file.exists() else None
         if before != content:
-            write_whole(path, content)
+            write_durably(self.manifest_file, content)
         return before is not None and before != content
 
     def manifest(self) -> dict[str, Any]:
-        """What was asked. Raises `InputError` where there is no campaign."""
-        from gonio.toml_files import InputError
-
-        path = self.path / "manifest.json"
+        """What was asked. Raises `InputError` where there is no campaign, or one that this version cannot read."""
         try:
-            manifest: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            manifest: dict[str, Any] = json.loads(self.manifest_file.read_text(encoding="utf-8"))
         except OSError:
             raise InputError(f"{self.path}: holds no campaign (there is no manifest.json to read).") from None
         except ValueError:
-            raise InputError(f"{path} is damaged: run the campaign again, which keeps finished units.") from None
+            raise InputError(
+                f"{self.manifest_file} is damaged: run the campaign again, which keeps finished units."
+            ) from None
+        version = manifest.get("format_version", 0)
+        if version != FORMAT_VERSION:
+            raise InputError(
+                f"{self.manifest_file}: its format_version is {version}, and this gonio reads {FORMAT_VERSION}: run "
+                "the campaign again, or read it with the gonio that wrote it."
+            )
         return manifest
 
     def finished(self) -> set[str]:
@@ -88,7 +102,7 @@ class CampaignStore:
 
     def write(self, unit: str, note: Mapping[str, Any], arrays: Arrays) -> None:
         """Keep a unit's sums; `note` tells what it is. Raises OSError where nothing can be written."""
-        write_whole(self._file(unit), pack(note, arrays))
+        write_durably(self._file(unit), pack(note, arrays))
 
     def read(self, unit: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """The note and the sums of a unit. Raises `DamagedError` unless they are what was written under this name."""
@@ -97,12 +111,12 @@ class CampaignStore:
             raise DamagedError("it is another unit's file under a wrong name")
         return note, arrays
 
-    def set_aside(self, unit: str) -> Path:
-        """Move a damaged unit out of the way, so that it is computed again; where it is now."""
+    def set_aside(self, unit: str, error: DamagedError) -> str:
+        """Move a damaged unit out of the way, so that it is computed again; a sentence that tells so."""
         aside = self.path / "damaged" / f"{unit}-{secrets.token_hex(4)}.npz"
         aside.parent.mkdir(exist_ok=True)
         self._file(unit).replace(aside)
-        return aside
+        return f"{unit} is damaged, {error}: set aside as {aside}."
 
     def claim(self, unit: str, run: str) -> bool:
         """Tell other runs that this one computes the unit now; False if another one that may be alive said so first."""
@@ -204,7 +218,7 @@ def _checksum(text: str, arrays: Arrays) -> str:
     return digest.hexdigest()
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_durably(path: Path, content: bytes) -> None:
     """Write a file that is there whole or not at all, even if the power fails."""
     temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}.tmp")
     try:
@@ -243,53 +257,3 @@ def _may_be_alive(claim: Mapping[str, Any]) -> bool:
     except PermissionError:
         return True
     return True
-
-
-# --- How far it is ---------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Status:
-    """How far a campaign is."""
-
-    title: str
-    experiments: int
-    experiments_finished: int
-    units: int
-    units_finished: int
-    paths: int
-    paths_finished: int
-    runs: dict[str, int]
-    """Runs that work on it now, and how many units each has under way."""
-
-
-def status(folder: CampaignStore) -> Status:
-    """How far the campaign in `folder` is. Raises `InputError` where there is none."""
-    manifest, finished = folder.manifest(), folder.finished()
-    paths = paths_of(manifest)
-    runs: dict[str, int] = {}
-    for unit, claim in folder.claims().items():
-        if unit not in finished:
-            run = f"{claim['host']}, process {claim['pid']}{claim['run']}"
-            runs[run] = runs.get(run, 0) + 1
-    done = [unit for unit in paths if unit in finished]
-    whole = [entry for entry in manifest["experiments"] if finished.issuperset(entry["units"])]
-    return Status(
-        manifest["title"], len(manifest["experiments"]), len(whole), len(paths), len(done),
-        sum(paths.values()), sum(paths[unit] for unit in done), runs,
-    )  # fmt: skip
-
-
-def verify(folder: CampaignStore) -> tuple[int, list[str]]:
-    """Read every unit that the campaign asks for; how many are sound, and a sentence for each that is not.
-
-    Damaged ones are set aside: running the campaign again computes them.
-    """
-    wanted = {unit for entry in folder.manifest()["experiments"] for unit in entry["units"]}
-    present, sentences = sorted(wanted & folder.finished()), []
-    for unit in present:
-        try:
-            folder.read(unit)
-        except DamagedError as error:
-            sentences.append(f"{unit} is damaged, {error}: set aside as {folder.set_aside(unit)}.")
-    return len(present) - len(sentences), sentences

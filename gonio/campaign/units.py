@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from gonio.campaign.store import CampaignStore, DamagedError, name_of
+from gonio.campaign.store import FORMAT_VERSION, CampaignStore, DamagedError, name_of
 from gonio.campaign.sweep import Campaign
 from gonio.experiment import Experiment, instruction_set
 from gonio.goniometer import Goniometer, Incidence, Progress, empty_sums, enter
@@ -25,9 +25,6 @@ from gonio.measurement import Measurement
 from gonio.tally import Tally, UInt128
 from gonio.toml_files import InputError
 from gonio.transport.scene import Scene
-
-FORMAT = 2
-"""Of a unit's file and of the manifest."""
 
 BLOCK_PATHS = 1 << 24
 """An incidence with more paths is cut into blocks of replicates, so that several workers can share it."""
@@ -90,7 +87,7 @@ def key_of(
     tables = _tables(experiment)
     goniometer = {name: value for name, value in tables["goniometer"].items() if name not in ("theta_i", "phi_i")}
     return {
-        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
         "material": _by_content(tables["material"]),
         "goniometer": goniometer | {"incidence": [incidence.theta, incidence.phi], "block": replicates},
         "versions": versions(),
@@ -104,6 +101,7 @@ def _relief(experiment: Experiment, realisation: int) -> dict[str, Any]:
         "surface": _by_content(_tables(experiment)["surface"]),
         "seed": experiment.seed,
         "realisation": realisation,
+        # Some surfaces are stratified over all their realisations.
         "realisations": experiment.realisations if getattr(experiment.surface, "stratified", False) else None,
     }
 
@@ -162,7 +160,7 @@ class Plan:
     def manifest(self) -> dict[str, Any]:
         """What was asked, by which version, with which seeds: all that is needed to put the results together."""
         return {
-            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
             "title": self.campaign.title,
             "versions": versions(),
             "experiments": [
@@ -202,12 +200,12 @@ class Plan:
 class UnitRunner:
     """Measures units with a number of threads, and keeps the relief that was built last."""
 
-    folder: CampaignStore
+    store: CampaignStore
     threads: int
     _built: tuple[str, Scene] | None = None
 
     def measure(self, unit: Unit, experiment: Experiment, progress: Progress | None = None) -> None:
-        """Measure a unit and keep its sums in the folder.
+        """Measure a unit and keep its sums in the store.
 
         Raises `InputError` for a surface that cannot be built, OSError where nothing can be written, MemoryError, and
         KeyboardInterrupt for Ctrl-C, which keeps nothing of this unit.
@@ -226,7 +224,20 @@ class UnitRunner:
         except ValueError as error:
             raise InputError(f"goniometer.{error}") from None
         about = goniometer.provenance(scene, seed) | {"instruction_set": instruction_set()}
-        self.folder.write(unit.name, {"unit": key, "attributes": about}, _packed(tally))
+        self.store.write(unit.name, {"unit": key, "attributes": about}, _packed(tally))
+
+    def attempt(self, unit: Unit, experiment: Experiment, progress: Progress | None = None) -> str | None:
+        """Measure a unit and keep it; the sentence of what is wrong with this unit alone, if anything.
+
+        Raises what `measure` does for faults that are not the unit's.
+        """
+        try:
+            self.measure(unit, experiment, progress)
+        except InputError as error:
+            return str(error)
+        except MemoryError as error:
+            return f"not enough memory: {error or 'make the surface, the detector or the number of workers smaller'}."
+        return None
 
     def _scene(self, unit: Unit, experiment: Experiment) -> Scene:
         """The specimen; the relief built last is used again, of another material, too."""
@@ -242,30 +253,35 @@ class UnitRunner:
     def _replicates(self, unit: Unit, experiment: Experiment) -> int:
         """How many replicates the first realisation took; it is measured now if it was not, or is damaged."""
         assert unit.pilot is not None
-        if self.folder.has(unit.pilot):
+        if self.store.has(unit.pilot):
             try:
-                return int(self.folder.read(unit.pilot)[1]["replicates"])
-            except DamagedError:
-                self.folder.set_aside(unit.pilot)
+                return int(self.store.read(unit.pilot)[1]["replicates"])
+            except DamagedError as error:
+                self.store.set_aside(unit.pilot, error)
         pilot = next(other for other in units_of(unit.experiment, experiment) if other.name == unit.pilot)
         self.measure(pilot, experiment)
-        return int(self.folder.read(unit.pilot)[1]["replicates"])
+        return int(self.store.read(unit.pilot)[1]["replicates"])
 
 
 # --- Units back into a measurement -----------------------------------------------------------------------------------
 
 
 def _packed(tally: Tally) -> dict[str, NDArray[Any]]:
-    """The arrays of a unit's file."""
+    """The arrays of a unit's file, named as those of a measurement's `sums`.
+
+    `weight` (order, bin, W) and `count` (order, bin) are of all replicates, `pilot_weight` and `pilot_squares` (the sum
+    of their squares, 128 bits wide) of the pilot's, all in units of 2⁻³² path; `energy_budget` (3, W) is what was
+    absorbed, truncated and lost.
+    """
     # Without a target all replicates are the pilot's.
-    piloted = {} if tally.replicates <= tally.pilot else {"piloted": tally.piloted}
+    pilot = {} if tally.replicates <= tally.pilot else {"pilot_weight": tally.piloted}
     return {
-        "total": tally.total,
-        **piloted,
-        "squares_high": tally.squares.high,
-        "squares_low": tally.squares.low,
+        "weight": tally.total,
+        **pilot,
+        "pilot_squares_high": tally.squares.high,
+        "pilot_squares_low": tally.squares.low,
         "count": tally.count,
-        "ledger": tally.ledger,
+        "energy_budget": tally.ledger,
         "replicates": np.array(tally.replicates),
     }
 
@@ -275,11 +291,11 @@ def unpacked(goniometer: Goniometer, arrays: Mapping[str, NDArray[Any]]) -> Tall
     return Tally(
         goniometer.replicates,
         math.ceil(goniometer.paths / goniometer.replicates),
-        arrays["total"],
-        arrays.get("piloted", arrays["total"]).copy(),
-        UInt128(arrays["squares_high"], arrays["squares_low"]),
+        arrays["weight"],
+        arrays.get("pilot_weight", arrays["weight"]).copy(),
+        UInt128(arrays["pilot_squares_high"], arrays["pilot_squares_low"]),
         arrays["count"],
-        arrays["ledger"],
+        arrays["energy_budget"],
         int(arrays["replicates"]),
     )
 

@@ -14,10 +14,10 @@ from typing import NoReturn
 
 from cyclopts import CycloptsError
 
-from gonio.cli import campaigns, exchange, judging, measuring, pictures
+from gonio.cli import campaigns, exchange, forecasts, judging, measuring, pictures
 from gonio.cli.terminal import RunError, app, complain
 
-__all__ = ["campaigns", "exchange", "judging", "main", "measuring", "pictures"]
+__all__ = ["campaigns", "exchange", "forecasts", "judging", "main", "measuring", "pictures"]
 
 
 def main(tokens: Sequence[str] | None = None) -> NoReturn:

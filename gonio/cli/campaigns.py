@@ -9,15 +9,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 from rich.console import Console
 
 from gonio.cli.terminal import (
     PLAIN_PROGRESS_SECONDS,
+    Flag,
     Output,
-    Overrides,
     RunError,
     app,
     check_writable,
@@ -25,15 +25,24 @@ from gonio.cli.terminal import (
     rays_per_second,
     reason,
     say,
-    show_table,
 )
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from gonio.campaign.queue import State
+    from gonio.campaign.results import Merged, Steps
+    from gonio.campaign.running import WorkerPool
 
-    from gonio.campaign.planning import Forecast
-    from gonio.campaign.results import Merged
-
+CampaignFile = Annotated[Path, Parameter(help="The campaign, a TOML file such as configs/roughness_and_metal.toml.")]
+CampaignFolder = Annotated[Path, Parameter(help="The campaign's folder.")]
+BaseOverrides = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--set",
+        negative="",
+        show_default=False,
+        help="Put a value in place of the base experiment's: --set goniometer.paths=10000",
+    ),
+]
 
 campaigns = App(
     name="campaign",
@@ -47,16 +56,16 @@ app.command(campaigns)
 
 @campaigns.command(name="run")
 def campaign_run(
-    file: Path,
+    file: CampaignFile,
     /,
     *,
-    overrides: Overrides = (),
+    overrides: BaseOverrides = (),
     workers: int = 0,
     shard: str = "1/1",
     threads: int | None = None,
     scheduler: str | None = None,
     output: Output = None,
-    quiet: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    quiet: Flag = False,
 ) -> None:
     """Measure all that a campaign file asks for, or what is still missing of it.
 
@@ -72,10 +81,6 @@ def campaign_run(
 
     Parameters
     ----------
-    file
-        The campaign, a TOML file such as configs/roughness_and_metal.toml.
-    overrides
-        Put a value in place of the base experiment's: --set goniometer.paths=10000
     workers
         Processes that share the cores; 0 measures in this one, with all cores.
     shard
@@ -85,49 +90,34 @@ def campaign_run(
     scheduler
         Address of a Dask scheduler, whose workers compute: tcp://HOST:PORT
     output
-        CampaignStore of the campaign; out/NAME if not given, where NAME.toml is the file.
+        Folder of the campaign; out/NAME if not given, where NAME.toml is the file.
     quiet
         Print nothing but errors.
     """
-    from gonio.campaign.running import ClusterError, State
     from gonio.campaign.running import run as run_campaign
     from gonio.campaign.sweep import Campaign
     from gonio.toml_files import InputError
 
-    _check_numbers(workers=(workers, 0), threads=(threads, 1))
+    check_numbers(workers=(workers, 0), threads=(threads, 1))
     if scheduler is not None and (workers or threads):
         raise InputError("--scheduler: its workers have threads of their own, leave --workers and --threads out.")
     part = _shard(shard)
     campaign, folder = Campaign.read(file, overrides), output or Path("out") / file.stem
     check_writable(folder)
-    started, latest = time.monotonic(), list[State]()
-    with _campaign_progress(quiet) as show:
+    started = time.monotonic()
+    latest: list[State] = []
+    with (
+        _telling_what_is_kept(folder, latest),
+        _worker_pool(workers, threads, scheduler) as pool,
+        _campaign_progress(quiet) as show,
+    ):
 
         def report(state: State) -> None:
             latest[:] = [state]
             show(state)
 
-        try:
-            state = run_campaign(
-                campaign, folder, workers=workers, shard=part, threads=threads, scheduler=scheduler, report=report
-            )
-        except KeyboardInterrupt:
-            done = f"{latest[0].kept + latest[0].computed} of {latest[0].units}" if latest else "finished"
-            raise RunError(f"Interrupted: {done} units are kept in {folder}; the same command continues.") from None
-        except ClusterError as error:
-            raise RunError(f"{error}: finished units are kept in {folder}; the same command continues.") from None
-        except OSError as error:
-            raise RunError(
-                f"{folder} cannot be written ({reason(error)}): finished units are kept, the same command continues."
-            ) from None
-    complain(0, *state.refused)
-    if state.changed:
-        complain(0, f"{folder} held another campaign: of its units those that this one asks for were kept.")
-    if state.deaths:
-        complain(0, f"Workers died {state.deaths} times; their units were computed again.")
-    if state.failures:
-        complain(0, *state.failures[:20])
-        raise RunError(f"{len(state.failures)} of {state.units} units could not be computed; the others are kept.")
+        state = run_campaign(campaign, folder, pool, shard=part, report=report)
+    _complain_about(state, folder)
     if not quiet:
         say(
             f"{state.units} units: {state.kept} were there, {state.computed} computed in "
@@ -136,7 +126,58 @@ def campaign_run(
         print(f"gonio campaign merge {folder}")
 
 
-def _check_numbers(**numbers: tuple[int | None, int]) -> None:
+@contextlib.contextmanager
+def _worker_pool(workers: int, threads: int | None, scheduler: str | None) -> Iterator[WorkerPool]:
+    """Who computes: the workers of a cluster, so many processes of this machine, or this process."""
+    from gonio.campaign.cluster import connected
+    from gonio.campaign.processes import ProcessPool
+    from gonio.campaign.running import ThisProcess
+
+    if scheduler is not None:
+        with connected(scheduler) as pool:
+            yield pool
+    else:
+        yield ProcessPool(workers, threads) if workers else ThisProcess(threads)
+
+
+@contextlib.contextmanager
+def _telling_what_is_kept(folder: Path, latest: Sequence[State]) -> Iterator[None]:
+    """Raise `RunError` in place of what ends a run early; `latest` holds how far it is, once that is known."""
+    from gonio.campaign.cluster import ClusterError
+
+    kept = "the same command continues"
+    try:
+        with telling_system_errors(f"{folder} cannot be written", f"finished units are kept, {kept}"):
+            yield
+    except KeyboardInterrupt:
+        done = f"{latest[0].kept + latest[0].computed} of {latest[0].units}" if latest else "finished"
+        raise RunError(f"Interrupted: {done} units are kept in {folder}; {kept}.") from None
+    except ClusterError as error:
+        raise RunError(f"{error}: finished units are kept in {folder}; {kept}.") from None
+
+
+@contextlib.contextmanager
+def telling_system_errors(sentence: str, remedy: str = "") -> Iterator[None]:
+    """Raise `RunError` in place of what the system says when files cannot be read or written."""
+    try:
+        yield
+    except OSError as error:
+        raise RunError(f"{sentence} ({reason(error)}){remedy and f': {remedy}'}.") from None
+
+
+def _complain_about(state: State, folder: Path) -> None:
+    """Tell what was not as it should be in a run; raise `RunError` if units are missing."""
+    complain(0, *state.refused)
+    if state.changed:
+        complain(0, f"{folder} held another campaign: of its units those that this one asks for were kept.")
+    if state.deaths:
+        complain(0, f"Workers died {state.deaths} times; their units were computed again.")
+    if state.failures:
+        complain(0, *state.failures[:20])
+        raise RunError(f"{len(state.failures)} of {state.units} units could not be computed; the others are kept.")
+
+
+def check_numbers(**numbers: tuple[int | None, int]) -> None:
     """Raise `InputError` for an option that is below its least value; None is not given."""
     from gonio.toml_files import InputError
 
@@ -156,24 +197,24 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 @contextlib.contextmanager
-def _campaign_progress(quiet: bool) -> Iterator[Callable[[Any], None]]:
+def _campaign_progress(quiet: bool) -> Iterator[Callable[[State], None]]:
     """How far the campaign is: a bar on a terminal, a line every few seconds elsewhere, both on stderr."""
     started = last = time.monotonic()
 
-    def words(state: Any) -> str:
+    def words(state: State) -> str:
         rate = state.rays / max(time.monotonic() - started, 1e-3)
         found = f"{state.kept + state.computed} of {state.units} units, {rays_per_second(rate)}"
         if state.workers is None:
             return found
         return f"{found}, {state.workers} workers" if state.workers else "waiting for workers"
 
-    def line(state: Any) -> None:
+    def line(state: State) -> None:
         nonlocal last
         now = time.monotonic()
         if now - last >= PLAIN_PROGRESS_SECONDS and state.paths_done:
             last = now
             left = (now - started) * max(state.paths - state.paths_done, 0) / state.paths_done
-            complain(0, f"{state.paths_done / state.paths:4.0%} done, {words(state)}, {_duration(left)} left")
+            complain(0, f"{state.paths_done / state.paths:4.0%} done, {words(state)}, {duration(left)} left")
 
     if quiet:
         yield lambda state: None
@@ -190,128 +231,15 @@ def _campaign_progress(quiet: bool) -> Iterator[Callable[[Any], None]]:
             )
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """A time that people can read: 40 s, 12 min, 3.4 h."""
     if seconds < 300:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
-@campaigns.command(name="plan")
-def campaign_plan(
-    file: Path,
-    /,
-    *,
-    overrides: Overrides = (),
-    pilot: int | None = None,
-    workers: int = 0,
-    threads: int | None = None,
-) -> None:
-    """Tell how long a campaign will take, how much disk, and how exact it will be, before it is run.
-
-    A pilot is measured: up to 16 of its units that differ as much as they can,
-    each with few paths. What it took is interpolated between them. Give a target
-    to learn how many paths it takes: --set goniometer.target_error=0.02
-
-    Parameters
-    ----------
-    file
-        The campaign, a TOML file such as configs/roughness_and_metal.toml.
-    overrides
-        Put a value in place of the base experiment's: --set goniometer.paths=10000
-    pilot
-        Paths of each of the pilot's units; as many as can be timed if not given.
-    workers
-        Processes that will share the cores of this machine, as in gonio campaign run.
-    threads
-        Threads of each.
-    """
-    from gonio.campaign.planning import plan
-    from gonio.campaign.sweep import Campaign
-
-    _check_numbers(pilot=(pilot, 1), workers=(workers, 0), threads=(threads, 1))
-    campaign = Campaign.read(file, overrides)
-    try:
-        with _steps("measuring a pilot") as show:
-            forecast = plan(campaign, workers=workers, threads=threads, pilot=pilot, progress=show)
-    except OSError as error:
-        raise RunError(f"The pilot's temporary folder cannot be written ({reason(error)}): set TMPDIR.") from None
-    targets = sorted({e.goniometer.target_error for e in campaign.experiments if e.goniometer.target_error})
-    show_table(f"Forecast for {campaign.title or file}", _forecast_table(forecast))
-    for sentence in _forecast_sentences(forecast, targets):
-        say(sentence)
-
-
-def _forecast_table(forecast: Forecast) -> Table:
-    """What a campaign will take, a row for each quantity."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, show_header=False, pad_edge=False)
-    paths = f"{forecast.paths:,}"
-    if forecast.paths_needed > forecast.paths:
-        paths = f"{_rounded(forecast.paths_needed)} for the target, beyond {paths}"
-    processes = f"{forecast.workers} worker{'s' * (forecast.workers > 1)}"
-    threads = f"{forecast.threads} thread{'s' * (forecast.threads > 1)}"
-    rows = {
-        "experiments": f"{forecast.experiments:,}",
-        "units of work": f"{forecast.units:,}, on {forecast.reliefs:,} surfaces",
-        "paths": paths,
-        "time": f"{_duration(forecast.seconds)} with {processes} of {threads}",
-        "work": f"{forecast.work * forecast.threads / 3600:.3g} core hours",
-        "units on disk": _bytes(forecast.units_bytes),
-        "merged on disk": _bytes(forecast.merged_bytes),
-        "memory": "unknown" if forecast.memory is None else _bytes(forecast.memory),
-        "error of a bin": "{:.2%} (median of the experiments), {:.2%} (the worst)".format(*forecast.bin_error),
-        "error of the albedo": "{:.2g}% (median), {:.2g}% (the worst)".format(
-            *(100 * e for e in forecast.albedo_error)
-        ),
-    }
-    for row in rows.items():
-        table.add_row(*row)
-    return table
-
-
-def _forecast_sentences(forecast: Forecast, targets: Sequence[float]) -> Iterator[str]:
-    """What the numbers of a forecast mean."""
-    traced = [pilot.paths for pilot in forecast.pilots]
-    yield (
-        f"Measured: {len(traced)} of {forecast.units} units, with {min(traced):,} to {max(traced):,} paths each; all "
-        "others are interpolated."
-    )
-    yield (
-        "Errors are relative standard errors of Monte Carlo in one specimen, at the worst incidence of an experiment: "
-        "half of its light leaves through bins with a smaller one. Several specimens make them smaller; how far "
-        "specimens differ no pilot of one can tell."
-    )
-    if targets:
-        wanted = f"{targets[0]:.3g}" if len(targets) == 1 else f"{targets[0]:.3g} to {targets[-1]:.3g}"
-        yield (
-            f"target_error = {wanted} takes {forecast.paths_needed / forecast.paths:.3g} times the paths that "
-            "goniometer.paths asks for."
-        )
-    if forecast.beyond:
-        yield (
-            f"In {forecast.beyond} experiments the target needs more paths than can be summed exactly: ask for a "
-            "larger target_error, or for wider bins."
-        )
-
-
-def _rounded(count: int) -> str:
-    """A large number that is an estimate."""
-    return f"{float(f'{count:.3g}'):,.0f}"
-
-
-def _bytes(size: int) -> str:
-    """A size that people can read: 40 kB, 1.3 GB."""
-    for unit, scale in (("GB", 1e9), ("MB", 1e6)):
-        if size >= 0.95 * scale:
-            return f"{size / scale:.3g} {unit}"
-    return f"{size / 1e3:.3g} kB"
-
-
 @contextlib.contextmanager
-def _steps(words: str) -> Iterator[Callable[[int, int], None]]:
+def steps(words: str) -> Iterator[Steps]:
     """A bar on a terminal for so many steps; nothing elsewhere."""
     if not sys.stderr.isatty():
         yield lambda done, total: None
@@ -325,16 +253,10 @@ def _steps(words: str) -> Iterator[Callable[[int, int], None]]:
 
 
 @campaigns.command(name="status")
-def campaign_status(folder: Path, /) -> None:
-    """Tell how far a campaign is, and which runs work on it.
-
-    Parameters
-    ----------
-    folder
-        The campaign's folder.
-    """
-    from gonio.campaign.running import seconds_left
-    from gonio.campaign.store import CampaignStore, status
+def campaign_status(folder: CampaignFolder, /) -> None:
+    """Tell how far a campaign is, and which runs work on it."""
+    from gonio.campaign.status import seconds_left, status
+    from gonio.campaign.store import CampaignStore
 
     found = status(CampaignStore(folder))
     left = seconds_left(CampaignStore(folder)) if found.runs else None
@@ -344,27 +266,24 @@ def campaign_status(folder: Path, /) -> None:
     say(
         f"{found.units_finished} of {found.units} units are finished, {share:.0%} of the paths; "
         f"{found.experiments_finished} of {found.experiments} experiments are complete"
-        f"{'' if left is None else f', about {_duration(left)} are left'}."
+        f"{'' if left is None else f', about {duration(left)} are left'}."
     )
     for run, units in found.runs.items():
         say(f"{run}: {units} unit{'s' * (units > 1)} under way.")
 
 
 @campaigns.command(name="verify")
-def campaign_verify(folder: Path, /) -> None:
+def campaign_verify(folder: CampaignFolder, /) -> None:
     """Verify that stored files are intact; damaged ones are set aside, so that the next run computes them.
 
-    Parameters
-    ----------
-    folder
-        The campaign's folder.
+    This is about files: gonio check is the self-check of one measurement, and
+    gonio validate holds the instrument to exact results.
     """
-    from gonio.campaign.store import CampaignStore, verify
+    from gonio.campaign.status import verify
+    from gonio.campaign.store import CampaignStore
 
-    try:
+    with telling_system_errors(f"{folder} cannot be read or written"):
         sound, sentences = verify(CampaignStore(folder))
-    except OSError as error:
-        raise RunError(f"{folder} cannot be read or written ({reason(error)}).") from None
     complain(0, *sentences)
     say(f"{sound} unit{'s' * (sound != 1)} {'are' if sound != 1 else 'is'} sound.")
     if sentences:
@@ -372,21 +291,15 @@ def campaign_verify(folder: Path, /) -> None:
 
 
 @campaigns.command(name="merge")
-def campaign_merge(folder: Path, /) -> None:
+def campaign_merge(folder: CampaignFolder, /) -> None:
     """Put finished units together: one measurement for each experiment, and index.csv with their parameters.
 
-    Parameters
-    ----------
-    folder
-        The campaign's folder; DIR/measurements is written.
+    Writes DIR/measurements in the campaign's folder.
     """
     from gonio.campaign.results import merge
 
-    try:
-        with _steps("merging") as show:
-            merged = merge(folder, show)
-    except OSError as error:
-        raise RunError(f"{folder} cannot be read or written ({reason(error)}).") from None
+    with telling_system_errors(f"{folder} cannot be read or written"), steps("merging") as show:
+        merged = merge(folder, show)
     complain(0, *merged.damaged)
     if len(merged.processors) > 1:
         complain(
@@ -422,7 +335,7 @@ def _advise(merged: Merged) -> None:
 
 @campaigns.command(name="publish")
 def campaign_publish(
-    folder: Path,
+    folder: CampaignFolder,
     /,
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
@@ -430,7 +343,7 @@ def campaign_publish(
     licence: Annotated[str, Parameter(name=["--licence", "--license"])],
     title: str | None = None,
     description: str = "",
-    single: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    single: Flag = False,
 ) -> None:
     """Make a data set of a finished campaign, ready for an archive that gives it a DOI.
 
@@ -440,8 +353,6 @@ def campaign_publish(
 
     Parameters
     ----------
-    folder
-        The campaign's folder.
     output
         The data set's folder, which must not exist yet.
     creator
@@ -464,11 +375,8 @@ def campaign_publish(
     for name, text in (("licence", licence), *(("creator", one) for one in creator)):
         if not text.strip():
             raise InputError(f"--{name} is empty: a data set without one cannot be used by others.")
-    try:
-        with _steps("publishing") as show:
-            publish(folder, output, About(heading, creator, licence, description), single, show)
-    except OSError as error:
-        raise RunError(f"{output} cannot be written ({reason(error)}): nothing was published.") from None
+    with telling_system_errors(f"{output} cannot be written", "nothing was published"), steps("publishing") as show:
+        publish(folder, output, About(heading, creator, licence, description), single, show)
     print(output)
 
 

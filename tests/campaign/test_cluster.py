@@ -14,9 +14,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from test_campaign import BASE, KINDS, TOY, UNITS, assert_same
+from toys import KINDS, TOY, UNITS, assert_same, half_bad, read
 
 from gonio.campaign import cluster, results, running
+from gonio.campaign.cluster import ClusterError, connected
+from gonio.campaign.queue import DEATHS, Queue, Report, State
 from gonio.campaign.store import CampaignStore
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
@@ -88,19 +90,10 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
         yield started
 
 
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
-    path = tmp_path_factory.mktemp("toy") / "toy.toml"
-    path.write_text(TOY)
-    return Campaign.read(path)
-
-
-@pytest.fixture(scope="module")
-def finished(toy: Campaign, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """TOY computed in one process."""
-    path = tmp_path_factory.mktemp("finished")
-    running.run(toy, path)
-    return path
+def run_on(address: str, campaign: Campaign, folder: Path, report: Report | None = None) -> State:
+    """Have a cluster compute a campaign."""
+    with connected(address) as pool:
+        return running.run(campaign, folder, pool, report=report)
 
 
 def wait(met: Callable[[], bool]) -> None:
@@ -112,14 +105,14 @@ def wait(met: Callable[[], bool]) -> None:
 
 def together(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a run begin when so many workers are there."""
-    meet = cluster.WorkerPool._meet
+    update = cluster._Coordinator._update_workers
 
-    def patient(self: cluster.WorkerPool) -> None:
+    def patient(self: cluster._Coordinator) -> None:
         wait(lambda: len(self._present()) >= count)
-        meet(self)
-        monkeypatch.setattr(cluster.WorkerPool, "_meet", meet)
+        update(self)
+        monkeypatch.setattr(cluster._Coordinator, "_update_workers", update)
 
-    monkeypatch.setattr(cluster.WorkerPool, "_meet", patient)
+    monkeypatch.setattr(cluster._Coordinator, "_update_workers", patient)
 
 
 def test_a_cluster_gives_what_one_process_does(
@@ -128,7 +121,7 @@ def test_a_cluster_gives_what_one_process_does(
     """Each worker has one unit at a time, with as many threads as it has, and seldom changes its relief."""
     together(2, monkeypatch)
     pair.log.unlink(missing_ok=True)
-    state = running.run(toy, tmp_path, scheduler=pair.address)
+    state = run_on(pair.address, toy, tmp_path)
     assert (state.computed, state.deaths, state.failures, state.refused) == (UNITS, 0, [], [])
     assert state.workers == 2
     assert state.rays > state.paths_done == state.paths
@@ -146,7 +139,7 @@ def test_a_cluster_gives_what_one_process_does(
 def test_a_target_takes_the_same_paths_on_a_cluster(pair: Cluster, tmp_path: Path) -> None:
     campaign = Campaign.of([KINDS["a target"]])
     running.run(campaign, tmp_path / "one")
-    assert running.run(campaign, tmp_path / "many", scheduler=pair.address).failures == []
+    assert run_on(pair.address, campaign, tmp_path / "many").failures == []
     for name in ("one", "many"):
         results.merge(tmp_path / name)
     assert_same(tmp_path / "many", tmp_path / "one")
@@ -156,9 +149,9 @@ def test_workers_with_other_versions_are_left_out(
     pair: Cluster, toy: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ours = cluster._all_versions
-    monkeypatch.setattr(cluster, "_all_versions", lambda versions: ours(versions) | {"numba": "0.1"})
+    monkeypatch.setattr(cluster, "_all_versions", lambda: ours() | {"numba": "0.1"})
     with pytest.raises(InputError, match=r"worker tcp://.* has other versions \(numba .* instead of 0\.1\)"):
-        running.run(toy, tmp_path, scheduler=pair.address)
+        run_on(pair.address, toy, tmp_path)
     assert CampaignStore(tmp_path).finished() == set()
 
 
@@ -176,19 +169,12 @@ def test_ctrl_c_stops_the_units_under_way_and_keeps_what_is_finished(pair: Clust
     assert "Traceback" not in err
     assert not list((tmp_path / "c/claims").iterdir())
     small = Campaign.of([KINDS["V-grooves"]])
-    assert running.run(small, tmp_path / "next", scheduler=pair.address).failures == []
+    assert run_on(pair.address, small, tmp_path / "next").failures == []
     assert CampaignStore(tmp_path / "c").finished() == set()
 
 
 def test_a_unit_that_cannot_be_computed_stops_no_other(pair: Cluster, tmp_path: Path) -> None:
-    import numpy as np
-
-    np.save(tmp_path / "bad.npy", np.full((4, 4), np.nan))
-    bad = (
-        f'{{kind = "HeightFieldFile", path = "{tmp_path}/bad.npy", periodic = "as is", pixel_size = 1.0, unit = "um"}}'
-    )
-    (tmp_path / "c.toml").write_text(f'{BASE}\n[sweep]\nsurface = [{{kind = "Flat"}}, {bad}]')
-    state = running.run(Campaign.read(tmp_path / "c.toml"), tmp_path / "c", scheduler=pair.address)
+    state = run_on(pair.address, read(tmp_path, half_bad(tmp_path)), tmp_path / "c")
     assert (state.computed, len(state.failures)) == (6, 6)
     assert "experiment 2, realisation 0: surface: " in state.failures[0]
 
@@ -199,10 +185,10 @@ def test_a_fault_of_ours_shows_its_trace(pair: Cluster, toy: Campaign, tmp_path:
     fault.touch()
     try:
         with pytest.raises(RuntimeError, match=r"(?s)a worker failed:.*Local: a fault of ours"):
-            running.run(toy, tmp_path, scheduler=pair.address)
+            run_on(pair.address, toy, tmp_path)
     finally:
         fault.unlink()
-    assert running.run(toy, tmp_path, scheduler=pair.address).failures == []
+    assert run_on(pair.address, toy, tmp_path).failures == []
 
 
 def test_a_worker_dies_another_one_comes_and_nothing_is_lost(
@@ -213,23 +199,23 @@ def test_a_worker_dies_another_one_comes_and_nothing_is_lost(
     When in the end the scheduler is killed, that is told and nothing is lost either.
     """
     (tmp_path / "cluster").mkdir()
-    third, give = Plan.of(toy).shard(1, 1)[2], cluster.WorkerPool._give
+    third, give = Plan.of(toy).shard(1, 1)[2], cluster._Coordinator._give
     with contextlib.closing(Cluster(tmp_path / "cluster")) as cluster_:
         victim = cluster_.worker()
 
-        def treacherous(self: cluster.WorkerPool, number: int, work: object, *what: object) -> None:
+        def treacherous(self: cluster._Coordinator, number: int, work: object, *what: object) -> None:
             give(self, number, work, *what)
             if what[0] == third and victim.poll() is None:
                 victim.kill()
                 cluster_.worker()
 
-        monkeypatch.setattr(cluster.WorkerPool, "_give", treacherous)
-        state = running.run(toy, tmp_path / "c", scheduler=cluster_.address)
+        monkeypatch.setattr(cluster._Coordinator, "_give", treacherous)
+        state = run_on(cluster_.address, toy, tmp_path / "c")
         assert (state.deaths, state.computed, state.failures, state.workers) == (1, UNITS, [], 1)
         assert_same(tmp_path / "c", finished)
 
-        with pytest.raises(running.ClusterError, match="scheduler is gone"):
-            running.run(toy, tmp_path / "d", scheduler=cluster_.address, report=lambda state: cluster_.scheduler.kill())
+        with pytest.raises(ClusterError, match="scheduler is gone"):
+            run_on(cluster_.address, toy, tmp_path / "d", report=lambda state: cluster_.scheduler.kill())
     assert running.run(toy, tmp_path / "d").failures == []
     assert_same(tmp_path / "d", finished)
 
@@ -237,29 +223,27 @@ def test_a_worker_dies_another_one_comes_and_nothing_is_lost(
 def test_a_unit_whose_workers_die_is_given_up(toy: Campaign, tmp_path: Path) -> None:
     plan = Plan.of(toy)
     CampaignStore(tmp_path).create(plan.manifest())
-    queue = running.Queue(plan.shard(1, 1)[:1], CampaignStore(tmp_path))
-    workers = cluster.WorkerPool(None, toy.experiments, queue, lambda state: None, CampaignStore(tmp_path))  # type: ignore[arg-type]
-    for number in range(running.DEATHS):
+    queue = Queue(plan.shard(1, 1)[:1], CampaignStore(tmp_path))
+    coordinator = cluster._Coordinator(None, queue, toy.experiments, lambda state: None, str(tmp_path))  # type: ignore[arg-type]
+    for number in range(DEATHS):
         assert queue.left
-        workers._workers[number] = cluster._Worker("tcp://x", 1, None, queue.take())
-        workers._lost(number)
+        coordinator._workers[number] = cluster._Worker("tcp://x", 1, None, queue.take())
+        coordinator._lost(number)
     assert not queue.left
-    assert queue.state.deaths == running.DEATHS
+    assert queue.state.deaths == DEATHS
     (sentence,) = queue.state.failures
     assert sentence.endswith("its worker died 3 times, as when memory is short.")
 
 
 def test_a_worker_tells_why_it_may_not_compute(tmp_path: Path) -> None:
-    from gonio.campaign.units import versions
-
-    ours = cluster._all_versions(versions())
+    ours = cluster._all_versions()
     with pytest.raises(cluster._UnfitError, match=r"does not see .*nowhere: give a folder that all machines share"):
-        cluster._greeting(ours, str(tmp_path / "nowhere"), "", 0.0)
+        cluster._examined(ours, str(tmp_path / "nowhere"), "", 0.0)
     (tmp_path / "manifest.json").write_text("another")
     with pytest.raises(cluster._UnfitError, match="does not see"):
-        cluster._greeting(ours, str(tmp_path), "", 0.0)
+        cluster._examined(ours, str(tmp_path), "", 0.0)
     with pytest.raises(cluster._UnfitError, match=r"cannot write to .*: No such file"):
-        cluster._greeting(ours, str(tmp_path), cluster._manifest(str(tmp_path)) or "", 0.0)
+        cluster._examined(ours, str(tmp_path), cluster._manifest(str(tmp_path)) or "", 0.0)
 
 
 SCRIPT = Path(__file__).parents[2] / "docs/slurm_array.sh"
@@ -313,7 +297,7 @@ def test_a_scheduler_that_does_not_answer_is_told(
 ) -> None:
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.3)
     with pytest.raises(InputError) as error:
-        running.run(toy, tmp_path / "c", scheduler=address)
+        run_on(address, toy, tmp_path / "c")
     assert words in str(error.value)
     assert not (tmp_path / "c").exists()
 
@@ -321,4 +305,4 @@ def test_a_scheduler_that_does_not_answer_is_told(
 def test_without_dask_that_is_told(toy: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r'needs Dask, pip install "gonio\[cluster\]"'):
-        running.run(toy, tmp_path, scheduler="tcp://127.0.0.1:1")
+        run_on("tcp://127.0.0.1:1", toy, tmp_path)

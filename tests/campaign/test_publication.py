@@ -25,7 +25,6 @@ from gonio.campaign.dataset import Layout, open_campaign
 from gonio.campaign.publication import About, publish
 from gonio.campaign.store import CampaignStore
 from gonio.campaign.sweep import Campaign
-from gonio.cli import main
 from gonio.experiment import Experiment
 from gonio.toml_files import InputError
 
@@ -55,12 +54,6 @@ def finished(tmp_path_factory):
     running.run(crossed(), path)
     results.merge(path)
     return path
-
-
-@pytest.fixture
-def copied(finished, tmp_path):
-    shutil.copytree(finished, tmp_path / "campaign")
-    return tmp_path / "campaign"
 
 
 @pytest.fixture(scope="module")
@@ -318,25 +311,18 @@ def test_nothing_half_made_is_left(finished, copied, tmp_path, monkeypatch):
     (copied / "units" / f"{unit}.npz").write_bytes(b"damaged")
     with pytest.raises(InputError, match="1 of 4 experiments lack units"):
         publish(copied, tmp_path / "damaged", ABOUT)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["campaign", "there"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["copied", "there"]
 
 
 # --- The command line ------------------------------------------------------------------------------------------------
 
 
-def command(capsys, *tokens):
-    with pytest.raises(SystemExit) as exit_:
-        main(("campaign", *map(str, tokens)))
-    out, err = capsys.readouterr()
-    return exit_.value.code, out, err
-
-
-def test_publish_from_the_command_line(finished, tmp_path, capsys):
+def test_publish_from_the_command_line(finished, tmp_path, gonio_campaign):
     target = tmp_path / "toys"
     tokens = ("publish", finished, "-o", target, "--creator", "Muster, Maxi", "--licence", "CC0-1.0")
-    assert command(capsys, *tokens, "--single") == (0, f"{target}\n", "")
+    assert gonio_campaign(*tokens, "--single") == (0, f"{target}\n", "")
     assert open_campaign(target).attrs["title"] == "Toys"
-    code, _, err = command(capsys, *tokens)
+    code, _, err = gonio_campaign(*tokens)
     assert (code, err) == (2, f"{target} exists already: give another folder; nothing is written over.\n")
 
 
@@ -350,18 +336,18 @@ def test_publish_from_the_command_line(finished, tmp_path, capsys):
         (("-o", "x", "--creator", "A", "--licence", "CC0-1.0", "--singel"), "--singel"),
     ],
 )
-def test_what_is_missing_is_told_in_a_sentence(finished, capsys, monkeypatch, tmp_path, tokens, words):
+def test_what_is_missing_is_told_in_a_sentence(finished, gonio_campaign, monkeypatch, tmp_path, tokens, words):
     monkeypatch.chdir(tmp_path)
-    code, out, err = command(capsys, "publish", finished, *tokens)
+    code, out, err = gonio_campaign("publish", finished, *tokens)
     assert (code, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_merging_advises_against_the_larger_noise(copied, capsys, monkeypatch):
+def test_merging_advises_against_the_larger_noise(copied, gonio_campaign, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    code, out, _ = command(capsys, "merge", copied)
+    code, out, _ = gonio_campaign("merge", copied)
     assert code == 0
     assert "All 4 experiments together:" in out
     words = " ".join(out.split())

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_campaign import BASE, KINDS, TOY, Gonio, assert_same, run  # noqa: F401 (a fixture)
+from toys import BASE, KINDS, TOY, Gonio, assert_same, half_bad, read
 
 import gonio
 from gonio.campaign import planning, results, running
 from gonio.campaign.planning import Forecast, Sample, plan
+from gonio.campaign.processes import ProcessPool
+from gonio.campaign.status import seconds_left
 from gonio.campaign.store import CampaignStore
 from gonio.campaign.sweep import Campaign
 from gonio.campaign.units import Plan
@@ -23,11 +25,6 @@ from gonio.toml_files import InputError
 
 UNITS = 12
 """Of the toy here: 2 slopes, 2 realisations, 3 incidences."""
-
-
-def read(tmp_path: Path, text: str) -> Campaign:
-    (tmp_path / "c.toml").write_text(text)
-    return Campaign.read(tmp_path / "c.toml")
 
 
 @pytest.fixture(scope="module")
@@ -122,9 +119,9 @@ def test_the_paths_of_a_target_are_told(kind: str, tmp_path: Path) -> None:
     campaign = Campaign.of([KINDS[kind]])
     forecast = plan(campaign, pilot=10**6)
     running.run(campaign, tmp_path)
-    home = CampaignStore(tmp_path)
+    store = CampaignStore(tmp_path)
     units, replicates = Plan.of(campaign).units[0], campaign.experiments[0].goniometer.replicates
-    taken = sum(unit.paths // replicates * int(home.read(unit.name)[1]["replicates"]) for unit in units)
+    taken = sum(unit.paths // replicates * int(store.read(unit.name)[1]["replicates"]) for unit in units)
     assert taken > 1.5 * forecast.paths
     assert forecast.paths_needed == pytest.approx(taken, rel=0.1)
 
@@ -139,12 +136,12 @@ def test_targets_are_swept_and_the_same_for_shards_and_workers(tmp_path: Path) -
     running.run(campaign, tmp_path / "one")
     for shard in (2, 3, 1):
         running.run(campaign, tmp_path / "shards", shard=(shard, 3))
-    running.run(campaign, tmp_path / "workers", workers=2)
+    running.run(campaign, tmp_path / "workers", ProcessPool(2))
     for name in ("shards", "workers"):
         assert_same(tmp_path / name, tmp_path / "one")
-    home = CampaignStore(tmp_path / "one")
+    store = CampaignStore(tmp_path / "one")
     coarse, fine = (
-        np.array([int(home.read(unit.name)[1]["replicates"]) for unit in group[:3]])
+        np.array([int(store.read(unit.name)[1]["replicates"]) for unit in group[:3]])
         for group in Plan.of(campaign).units
     )
     more = coarse > 4
@@ -159,17 +156,17 @@ def test_targets_are_swept_and_the_same_for_shards_and_workers(tmp_path: Path) -
 
 def test_time_left_is_at_the_pace_of_the_last_hour(toy: Campaign, tmp_path: Path) -> None:
     """A unit every ten seconds until now, and three of yesterday: 40 s for the other 4."""
-    home, names = CampaignStore(tmp_path), [unit.name for unit in Plan.of(toy).shard(1, 1)]
-    home.create(Plan.of(toy).manifest())
-    assert running.seconds_left(home) is None
+    store, names = CampaignStore(tmp_path), [unit.name for unit in Plan.of(toy).shard(1, 1)]
+    store.create(Plan.of(toy).manifest())
+    assert seconds_left(store) is None
     now = time.time()
     for age, name in zip([0, 10, 20, 30, 40, 90000, 90000, 90000], names, strict=False):
-        (home.units / f"{name}.npz").touch()
-        os.utime(home.units / f"{name}.npz", (now - age,) * 2)
-    assert running.seconds_left(home) == pytest.approx(40, abs=5)
+        (store.units / f"{name}.npz").touch()
+        os.utime(store.units / f"{name}.npz", (now - age,) * 2)
+    assert seconds_left(store) == pytest.approx(40, abs=5)
 
 
-def test_status_tells_the_time_left_and_a_line_for_each_shard(run: Gonio) -> None:  # noqa: F811
+def test_status_tells_the_time_left_and_a_line_for_each_shard(run: Gonio) -> None:
     assert run("run", "toy.toml", "--shard", "1/3", "-o", "c", "--quiet") == (0, "", "")
     for number, unit in enumerate(Plan.of(Campaign.read("toy.toml")).shard(3, 3)[:2], 2):
         Path("c/claims", unit.name).write_text(json.dumps({"host": "node", "pid": 1, "run": f", shard {number}/3"}))
@@ -251,7 +248,7 @@ def test_a_pilot_has_every_kind_and_the_extremes_of_what_is_swept(tmp_path: Path
 # --- The command line, and what goes wrong ---------------------------------------------------------------------------
 
 
-def test_the_command_tells_a_forecast(run: Gonio) -> None:  # noqa: F811
+def test_the_command_tells_a_forecast(run: Gonio) -> None:
     code, out, err = run(
         "plan", "toy.toml", "--pilot", "400", "--set", "goniometer.target_error=0.05", "--workers", "2"
     )
@@ -265,10 +262,8 @@ def test_the_command_tells_a_forecast(run: Gonio) -> None:  # noqa: F811
 
 
 def test_what_cannot_be_measured_is_told_with_its_experiment(tmp_path: Path) -> None:
-    np.save(tmp_path / "bad.npy", np.full((4, 4), np.nan))
-    bad = '{kind = "HeightFieldFile", path = "bad.npy", periodic = "as is", pixel_size = 1.0, unit = "um"}'
     with pytest.raises(InputError, match=r"^experiment 2: surface: .*16 of 16 heights are NaN"):
-        plan(read(tmp_path, f'{BASE}\n[sweep]\nsurface = [{{kind = "Flat"}}, {bad}]'), pilot=4)
+        plan(read(tmp_path, half_bad(tmp_path)), pilot=4)
 
 
 def test_it_stops_when_it_is_told_to(toy: Campaign) -> None:
