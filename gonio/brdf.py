@@ -38,7 +38,7 @@ Function = Callable[[Vectors, Vectors], Any]
 """A user's own BRDF, `f(wi, wo)`: unit vectors (n, 3) away from the surface to values (n,) or (n, W) in 1/sr."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BRDF:
     """A BRDF as a function of both directions, with what is known of where it comes from; made by `BRDF.of`."""
 
@@ -61,8 +61,14 @@ class BRDF:
     """`title`, `origin` and more, as text or numbers."""
     averages: Callable[[Vectors, Detector], Floats] | None = None
     """Averages over bins (bins, channels) where something better is known than the mean of a few values."""
+    order: str = "all"
+    """The order of scattering that it speaks of: "all" light, or "1" for a model of light that was reflected once."""
     measurement: Measurement | None = None
     """The measurement behind the function, if it is one; its bins are the data, the function interpolates them."""
+
+    def __repr__(self) -> str:
+        """What it is, in a line."""
+        return f"BRDF({self.title})"
 
     @classmethod
     def of(cls, source: BRDF | Measurement | Model | Function, wavelengths: ArrayLike | None = None) -> BRDF:
@@ -187,6 +193,17 @@ class BRDF:
         with np.errstate(invalid="ignore"):
             return np.asarray((share * np.where(known, values, 0.0)).sum(axis=1) / share.sum(axis=1))
 
+    def standard_error(self, wi: ArrayLike, detector: Detector) -> Floats:
+        """That of `average`, (bins, W) in 1/sr: of a measurement at its own incidences and bins, where it is known.
+
+        Elsewhere 0: what lies between incidences is as sure as its neighbours, and not noisier than they are.
+        """
+        if self.measurement is not None and detector == self.detector:
+            errors = self.measurement.standard_error(as_directions(wi, "wi"))
+            if errors is not None:
+                return np.nan_to_num(errors)
+        return np.zeros((detector.bins, len(self.wavelengths)))
+
     def _averaged(self, wi: Vectors, detector: Detector) -> Floats:
         assert self.averages is not None
         return self.averages(wi, detector)
@@ -248,7 +265,7 @@ def _of_model(model: Model, wavelengths: Floats) -> BRDF:
         isotropic = False
     about = {"title": repr(model), "origin": "a model"}
     averages = partial(model.average, wavelengths=wavelengths)
-    return _everywhere(evaluate, wavelengths, isotropic, about, averages)
+    return replace(_everywhere(evaluate, wavelengths, isotropic, about, averages), order=model.order)
 
 
 def _of_function(function: Function, wavelengths: Floats) -> BRDF:

@@ -248,6 +248,15 @@ class Measurement:
         wo, weights = detector.quadrature(wi, nodes=4)
         return np.asarray((weights[..., None] * self.eval(wi, wo, extrapolate)).sum(axis=1))
 
+    def standard_error(self, wi: ArrayLike) -> Floats | None:
+        """That of the bins for light from `wi` (3,), 1/sr, (bins, W); None where it was not measured."""
+        theta, phi = (float(a) for a in angles(as_directions(wi, "wi")))
+        nearest = self._incidence_at(theta, phi)
+        if nearest is None:
+            return None
+        values = self.dataset["brdf_standard_error"].sel(order="all").values[nearest]
+        return np.array(values.reshape(-1, len(self.wavelengths)))
+
     def eval(self, wi: ArrayLike, wo: ArrayLike, extrapolate: Extrapolation | None = None) -> Floats:
         """BRDF in 1/sr for light from `wi` (..., 3) seen from `wo` (..., 3), shape (..., W); order "all".
 

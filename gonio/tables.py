@@ -12,6 +12,7 @@ from rich.table import Table
 from microsurfaces.recipe import parameters as fields
 
 if TYPE_CHECKING:
+    from gonio.brdf import BRDF
     from gonio.comparison import Comparison
     from gonio.fitting import Fit, Ranked
     from gonio.measurement import Measurement
@@ -90,10 +91,13 @@ def statistics(values: Mapping[str, float | None]) -> Table:
 # --- Models -----------------------------------------------------------------------------------------------------------
 
 
-def name_of(model: Model) -> str:
+def name_of(model: Model | BRDF) -> str:
     """A model's name, those of the parts that are a matter of choice, and the numbers that are."""
+    from gonio.brdf import BRDF
     from gonio.models.parameters import owner
 
+    if isinstance(model, BRDF):
+        return model.title
     parts = (getattr(model, part) for part in ("distribution", "masking", "local") if part in fields(type(model)))
     named = ", ".join(type(part).__name__ for part in parts)
     numbers = ((name.rsplit(".", 1)[-1], getattr(owner(model, name), name.rsplit(".", 1)[-1])) for name in model.free)

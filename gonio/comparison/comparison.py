@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.brdf import BRDF, Function
 from gonio.comparison import sentences
 from gonio.comparison.incidence import Incidence
 from gonio.comparison.prediction import Prediction, order_of
@@ -71,7 +72,7 @@ class Comparison:
     """The numbers."""
     lobes: xr.Dataset
     """Bin by bin."""
-    model: Model
+    model: Model | BRDF
     """The model that was judged."""
     order: str
     """The order of scattering that it was compared with: "1", "all" ..."""
@@ -164,9 +165,15 @@ class Comparison:
         return rows
 
 
-def compare(measurement: Measurement, model: Model, relative_threshold: float = RELATIVE_THRESHOLD) -> Comparison:
+def compare(
+    measurement: Measurement | BRDF,
+    model: Model | BRDF | Measurement | Function,
+    relative_threshold: float = RELATIVE_THRESHOLD,
+) -> Comparison:
     """Judge `model` against the order of `measurement` that it speaks of, incidence by incidence, bin by bin.
 
+    Another measurement, any `BRDF` and a Python function `f(wi, wo)` are judged like a model, against all light; the
+    errors of a measurement in the model's place count where it has the same incidences and bins.
     An external measurement keeps no orders apart: `model` is judged against all of its light. Every bin counts on its
     own with the error that it has; without errors differences are told, but not what noise explains. Bins with a count
     below 10, or whose error says that they are worth fewer arrivals, are pooled with those that follow them in theta_o,
@@ -185,6 +192,10 @@ def compare(measurement: Measurement, model: Model, relative_threshold: float = 
     """
     import xarray as xr
 
+    if isinstance(measurement, BRDF):
+        measurement = measurement.measured()
+    if isinstance(model, Measurement) or callable(model):
+        model = BRDF.of(model, measurement.wavelengths)
     if isinstance(measurement.detector, Klems):
         raise ValueError(
             "The light of this measurement came from Klems's whole patches, over which models are not averaged: "

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.brdf import BRDF
 from gonio.detectors import Detector, HemisphereGrid
 from gonio.measurement import Measurement
 from gonio.models import Model
@@ -30,7 +31,7 @@ class Prediction(NamedTuple):
     """(W,), numerical and random."""
 
     @classmethod
-    def of(cls, model: Model, wi: Vectors, detector: Detector, wavelengths: Floats) -> Prediction:
+    def of(cls, model: Model | BRDF, wi: Vectors, detector: Detector, wavelengths: Floats) -> Prediction:
         """Bins and hemisphere."""
         brdf, random = predicted(model, wi, detector, wavelengths)
         if isinstance(model, RandomWalk):
@@ -38,18 +39,26 @@ class Prediction(NamedTuple):
             return cls(brdf, random, albedo[0], error[0])
         covers = isinstance(detector, HemisphereGrid)
         solid = (detector if covers else _FINE).projected_solid_angles()
-        albedo = solid @ (brdf if covers else predicted(model, wi, _FINE, wavelengths).value)
-        return cls(brdf, random, albedo, TOLERANCE * albedo)
+        whole = Estimate(brdf, random) if covers else predicted(model, wi, _FINE, wavelengths)
+        albedo = solid @ whole.value
+        return cls(brdf, random, albedo, _error_of(albedo, solid, whole.standard_error))
 
     def among(self, bins: NDArray[np.bool_], w: slice, solid: Floats) -> Prediction:
         """Some of the bins, of projected solid angles `solid`, at some wavelengths, and their part of the albedo."""
         brdf, random = self.brdf[bins, w], self.random[bins, w]
         albedo = solid @ brdf
-        return Prediction(brdf, random, albedo, np.hypot(TOLERANCE * albedo, np.sqrt(solid**2 @ random**2)))
+        return Prediction(brdf, random, albedo, _error_of(albedo, solid, random))
 
 
-def predicted(model: Model, wi: Vectors, detector: Detector, wavelengths: Floats) -> Estimate:
+def _error_of(albedo: Floats, solid: Floats, random: Floats) -> Floats:
+    """Standard error (W,) of an albedo that is summed over bins of these projected solid angles and errors."""
+    return np.asarray(np.hypot(TOLERANCE * albedo, np.sqrt(solid**2 @ random**2)))
+
+
+def predicted(model: Model | BRDF, wi: Vectors, detector: Detector, wavelengths: Floats) -> Estimate:
     """Bin averages (bins, W) of `model` in 1/sr with their random standard errors, 0 for models that have none."""
+    if isinstance(model, BRDF):
+        return Estimate(BRDF.of(model, wavelengths).average(wi, detector), model.standard_error(wi, detector))
     if isinstance(model, RandomWalk):
         value, error = model.estimate(wi, detector, wavelengths, orders=1)
         return Estimate(value[0], error[0])
@@ -57,7 +66,7 @@ def predicted(model: Model, wi: Vectors, detector: Detector, wavelengths: Floats
     return Estimate(average, np.zeros_like(average))
 
 
-def order_of(measurement: Measurement, model: Model) -> str:
+def order_of(measurement: Measurement, model: Model | BRDF) -> str:
     """The order of scattering that `model` is held against: its own, or "all" where orders were not kept apart.
 
     Raises ValueError if other orders were kept apart than the model's.

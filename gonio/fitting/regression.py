@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from pydantic import ValidationError
 
+from gonio.brdf import BRDF
 from gonio.comparison import order_of, predicted
 from gonio.fitting.binning import Observations, observations
 from gonio.fitting.deviance import deviance_of_noise, parts, roots
@@ -20,7 +21,7 @@ from microsurfaces.arrays import Floats
 
 
 def fit(
-    measurement: Measurement,
+    measurement: Measurement | BRDF,
     model: Model,
     free: Iterable[str] | None = None,
     theta_i: Iterable[float] | None = None,
@@ -45,6 +46,8 @@ def fit(
     Raises ValueError, in one sentence, for a name that is no parameter or no number of the model, for incidences or
     wavelengths that were not measured, and if nothing was.
     """
+    if isinstance(measurement, BRDF):
+        measurement = measurement.measured()
     names = tuple(model.free if free is None else free)
     start = _start(model, names)
     limits = np.array([bounds(model, name) for name in names])

@@ -480,3 +480,23 @@ def test_a_comparison_without_errors_is_a_file(tmp_path):
         assert table.attrs["scope"] == "external"
         assert table.attrs["channels"] == "550 nm"
         assert np.isnan(table["p_value"]).all()
+
+
+def test_a_model_in_any_clothes_is_judged_alike():
+    """A closed form, the same as a Python function, and a table of it."""
+    measurement = synthetic(noise=0.02, seed=5, wavelengths=(450.0, 650.0))
+    themselves = compare(measurement, TRUTH).table
+    written = compare(measurement, BRDF.of(TRUTH, measurement.wavelengths)).table
+    for name in ("l1", "reduced_chi2", "albedo_model", "z"):
+        np.testing.assert_array_equal(themselves[name], written[name])
+    measurement = external(wavelengths=(450.0, 650.0))
+    function = compare(measurement, lambda wi, wo: TRUTH.eval(wi, wo, measurement.wavelengths)).table
+    np.testing.assert_allclose(function["albedo_model"], compare(measurement, TRUTH).table["albedo_model"], rtol=1e-2)
+
+
+def test_two_measurements_of_one_truth_are_consistent_within_the_noise_of_both():
+    """The noise of the one that stands for the model counts: without it chi² would be 2."""
+    one = external(truth=TRUTH, noise=0.05, seed=1)
+    other = external(truth=TRUTH, noise=0.05, seed=2)
+    table = compare(one, other.as_isotropic()).table
+    assert table["reduced_chi2"].item() == pytest.approx(1.0, abs=0.1)
