@@ -13,93 +13,100 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from gonio import formats, models, plots
-    from gonio.brdf import BRDF
-    from gonio.campaign.dataset import open_campaign
-    from gonio.comparison import Comparison, compare
-    from gonio.detectors import Apertures, HemisphereGrid, Klems
-    from gonio.experiment import Experiment
-    from gonio.fitting import fit
-    from gonio.formats import export, load
-    from gonio.goniometer import Goniometer
-    from gonio.measurement import Measurement, tabulated
-    from gonio.models import CookTorrance, Lambert, Microfacet
-    from gonio.netcdf import save
-    from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
-    from gonio.self_check import check
-    from gonio.sphere import direction
-    from gonio.toml_files import InputError
-    from gonio.transport.scene import Scene
-    from gonio.validation import validate
+if TYPE_CHECKING:  # the same names as in _HOME and _MODULES, for type checkers
+    from gonio import formats as formats
+    from gonio import models as models
+    from gonio import optics as optics
+    from gonio import plots as plots
+    from gonio.brdf import BRDF as BRDF
+    from gonio.campaign.dataset import open_campaign as open_campaign
+    from gonio.comparison import Comparison as Comparison
+    from gonio.comparison import compare as compare
+    from gonio.detectors import Apertures as Apertures
+    from gonio.detectors import HemisphereGrid as HemisphereGrid
+    from gonio.detectors import Klems as Klems
+    from gonio.experiment import Experiment as Experiment
+    from gonio.fitting import fit as fit
+    from gonio.formats import export as export
+    from gonio.formats import load as load
+    from gonio.goniometer import Goniometer as Goniometer
+    from gonio.measurement import Measurement as Measurement
+    from gonio.measurement import tabulated as tabulated
+    from gonio.models import GGX as GGX
+    from gonio.models import AshikhminShirley as AshikhminShirley
+    from gonio.models import Beckmann as Beckmann
+    from gonio.models import CookTorrance as CookTorrance
+    from gonio.models import Lambert as Lambert
+    from gonio.models import Microfacet as Microfacet
+    from gonio.models import Mixture as Mixture
+    from gonio.models import OrenNayar as OrenNayar
+    from gonio.models import PoulinFournier as PoulinFournier
+    from gonio.models import SmithCorrelated as SmithCorrelated
+    from gonio.models import SmithMultipleScattering as SmithMultipleScattering
+    from gonio.models import SmithSeparable as SmithSeparable
+    from gonio.models import Unmasked as Unmasked
+    from gonio.models import VCavity as VCavity
+    from gonio.models import Ward as Ward
+    from gonio.netcdf import save as save
+    from gonio.optics import Conductor as Conductor
+    from gonio.optics import Dielectric as Dielectric
+    from gonio.optics import Lambertian as Lambertian
+    from gonio.optics import Mirror as Mirror
+    from gonio.self_check import check as check
+    from gonio.sphere import direction as direction
+    from gonio.toml_files import InputError as InputError
+    from gonio.transport.scene import Scene as Scene
+    from gonio.validation import validate as validate
 
 __version__ = "0.1.0"
 
 _HOME = {
     "Apertures": "gonio.detectors",
+    "AshikhminShirley": "gonio.models",
     "BRDF": "gonio.brdf",
-    "InputError": "gonio.toml_files",
+    "Beckmann": "gonio.models",
+    "Comparison": "gonio.comparison",
     "Conductor": "gonio.optics",
     "CookTorrance": "gonio.models",
     "Dielectric": "gonio.optics",
     "Experiment": "gonio.experiment",
+    "GGX": "gonio.models",
     "Goniometer": "gonio.goniometer",
     "HemisphereGrid": "gonio.detectors",
+    "InputError": "gonio.toml_files",
     "Klems": "gonio.detectors",
     "Lambert": "gonio.models",
     "Lambertian": "gonio.optics",
     "Measurement": "gonio.measurement",
     "Microfacet": "gonio.models",
     "Mirror": "gonio.optics",
+    "Mixture": "gonio.models",
+    "OrenNayar": "gonio.models",
+    "PoulinFournier": "gonio.models",
     "Scene": "gonio.transport.scene",
-    "Comparison": "gonio.comparison",
+    "SmithCorrelated": "gonio.models",
+    "SmithMultipleScattering": "gonio.models",
+    "SmithSeparable": "gonio.models",
+    "Unmasked": "gonio.models",
+    "VCavity": "gonio.models",
+    "Ward": "gonio.models",
     "check": "gonio.self_check",
     "compare": "gonio.comparison",
+    "direction": "gonio.sphere",
     "export": "gonio.formats",
     "fit": "gonio.fitting",
     "load": "gonio.formats",
     "open_campaign": "gonio.campaign.dataset",
     "save": "gonio.netcdf",
     "tabulated": "gonio.measurement",
-    "direction": "gonio.sphere",
     "validate": "gonio.validation",
 }
+"""The module of each public name."""
 
-_MODULES = ("formats", "models", "plots")
+_MODULES = ("formats", "models", "optics", "plots")
+"""The modules that are public as such."""
 
-__all__ = [
-    "BRDF",
-    "Apertures",
-    "Comparison",
-    "Conductor",
-    "CookTorrance",
-    "Dielectric",
-    "Experiment",
-    "Goniometer",
-    "HemisphereGrid",
-    "InputError",
-    "Klems",
-    "Lambert",
-    "Lambertian",
-    "Measurement",
-    "Microfacet",
-    "Mirror",
-    "Scene",
-    "__version__",
-    "check",
-    "compare",
-    "direction",
-    "export",
-    "fit",
-    "formats",
-    "load",
-    "models",
-    "open_campaign",
-    "plots",
-    "save",
-    "tabulated",
-    "validate",
-]
+__all__ = ["__version__", *_HOME, *_MODULES]
 
 
 def __getattr__(name: str) -> Any:
