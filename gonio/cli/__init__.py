@@ -16,6 +16,7 @@ from cyclopts import CycloptsError
 
 from gonio.cli import campaigns, exchange, forecasts, judging, measuring, pictures
 from gonio.cli.terminal import RunError, app, complain
+from gonio.cli.usage import usage
 
 __all__ = ["campaigns", "exchange", "forecasts", "judging", "main", "measuring", "pictures"]
 
@@ -36,7 +37,7 @@ def _attempt(tokens: Sequence[str] | None) -> int:
     try:
         app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
-        return complain(2, _usage(error))
+        return complain(2, usage(error))
     except RunError as error:
         return complain(1, str(error))
     except KeyboardInterrupt:
@@ -52,8 +53,3 @@ def _attempt(tokens: Sequence[str] | None) -> int:
             raise
         return complain(2, *error.sentences)
     return 0
-
-
-def _usage(error: CycloptsError) -> str:
-    """cyclopts' complaint in one line, with where to look."""
-    return f"{' '.join(str(error).split())} See gonio --help."

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import inspect
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 from gonio.cli.terminal import (
+    Flag,
     app,
     load_measurement,
-    make_writable,
+    make_room,
     say,
     standard_output,
     telling_mistakes,
@@ -30,7 +29,7 @@ def export(
     *,
     to: Path,
     format: str | None = None,
-    isotropic: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    isotropic: Flag = False,
 ) -> None:
     """Write a measurement in another program's format, and tell what that cost.
 
@@ -40,18 +39,18 @@ def export(
     Parameters
     ----------
     file
-        The measurement: a .nc file, or a foreign file that gonio reads.
+        The measurement: a .nc file, or another program's file that gonio reads.
     to
         The file to write; its suffix decides the format.
     format
-        A format that decides instead, such as exr-rgb.
+        A format that decides instead, such as exr-rgb; if not given, the first that has the suffix.
     isotropic
-        Declare that the surface looks the same from every azimuth of the light.
+        Declare that the surface looks the same from every incident azimuth.
     """
     from gonio import formats
 
     measurement = load_measurement(file)
-    make_writable(to.parent)
+    make_room(to)
     with telling_mistakes(), telling_refusals(to):
         with working(f"writing {to}"):
             exported = formats.export(measurement.as_isotropic() if isotropic else measurement, to, format)
@@ -64,12 +63,12 @@ def export(
 
 @app.command(name="list")
 def list_(name: str | None = None, /) -> None:
-    """Show every surface, material, detector and model with its parameters and their defaults, and every file format.
+    """Show every surface, material, detector, model and file format, with parameters and their defaults.
 
     Parameters
     ----------
     name
-        One of them, shown with its whole description.
+        One of them, shown with its whole description; all in one line each if not given.
     """
     from gonio.formats import FORMATS
     from gonio.toml_files import InputError
@@ -91,7 +90,8 @@ def list_(name: str | None = None, /) -> None:
         say(f"{FORMATS[name].title} ({FORMATS[name].suffix})\n\n{_reflowed(FORMATS[name].page)}")
     else:
         names = (*known, *FORMATS)
-        raise InputError(f"{name} is none of {', '.join(names)}{did_you_mean(name, names)}")
+        suggestion = did_you_mean(name, names) or "; gonio list shows all there are"
+        raise InputError(f"{name}: there is nothing of that name{suggestion}")
 
 
 def _catalogue() -> dict[str, list[type]]:
@@ -99,7 +99,7 @@ def _catalogue() -> dict[str, list[type]]:
     from gonio.detectors import Detector
     from gonio.experiment import Experiment
     from gonio.goniometer import Goniometer
-    from gonio.models import Model
+    from gonio.models import Distribution, Masking, Model
     from gonio.optics import Material
     from microsurfaces import Surface
     from microsurfaces.recipe import members
@@ -108,7 +108,9 @@ def _catalogue() -> dict[str, list[type]]:
         "Surfaces: [surface]": Surface,
         "Materials: [material]": Material,
         "Detectors: [goniometer.detector]": Detector,
-        "Models: models = [...], gonio compare --model": Model,
+        "Models: models = [...], --model": Model,
+        "Slope distributions of models: distribution.kind": Distribution,
+        "Masking and shadowing of models: masking.kind": Masking,
         "The experiment, its goniometer": Experiment,
     }
     catalogue = {heading: list(members(union).values()) for heading, union in unions.items()}

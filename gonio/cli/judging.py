@@ -14,13 +14,19 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from gonio.cli.terminal import (
-    ModelNames,
+    Flag,
+    Models,
+    Numbers,
     Output,
     RunError,
+    Words,
     app,
+    check_writable,
     complain,
     load_measurement,
+    make_room,
     make_writable,
+    refuse_folder,
     say,
     show_table,
     telling_mistakes,
@@ -30,6 +36,7 @@ from gonio.cli.terminal import (
 
 if TYPE_CHECKING:
     from gonio.comparison import Comparison
+    from gonio.fitting import Fit
     from gonio.measurement import Measurement
     from gonio.models import Model
     from gonio.self_check import SelfCheckReport
@@ -49,7 +56,7 @@ def models_to_compare(
 
 
 def judge(measurement: Measurement, models: Sequence[Model], relative_threshold: float = 0.01) -> list[Comparison]:
-    """How each model compares with the light it speaks of; why one could not be compared is told."""
+    """How each model compares with the light it describes; why one could not be compared is told."""
     from gonio import tables
     from gonio.comparison import compare
 
@@ -64,7 +71,7 @@ def judge(measurement: Measurement, models: Sequence[Model], relative_threshold:
 
 
 def show_comparisons(comparisons: Sequence[Comparison], every_wavelength: bool = False) -> None:
-    """Print how each model compares, and what is noise and what is not."""
+    """Print how each model compares, and which differences are significant."""
     from gonio import tables
 
     for comparison in comparisons:
@@ -73,10 +80,9 @@ def show_comparisons(comparisons: Sequence[Comparison], every_wavelength: bool =
     if comparisons:
         say(
             ("" if every_wavelength else "Of every incidence the wavelength whose albedo differs most; ")
-            + "in brackets the standard error of its last "
-            "digits. L1: how far the lobes differ, and how far noise alone would make them. Consistent: with noise; "
-            "significant: beyond noise; inconclusive: specimens that move the whole lobe could explain it, more "
-            "realisations would tell; unknown: without errors."
+            + "in brackets the standard error of its last digits. L1: how far the lobes differ, and how far noise "
+            "alone would make them. Consistent: noise explains the difference; significant: it does not; "
+            "inconclusive: specimens that move the whole lobe could, more realisations would tell."
         )
         for sentence in dict.fromkeys(line for comparison in comparisons for line in comparison.preamble()):
             say(sentence)
@@ -87,12 +93,12 @@ def compare(
     file: Path,
     /,
     *,
-    models: ModelNames = (),
-    all: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    models: Models = (),
+    all: Flag = False,
     relative_threshold: float = 0.01,
     output: Output = None,
 ) -> None:
-    """Compare a measurement with closed-form models, bin by bin, and tell noise from difference.
+    """Compare closed-form models with a measurement, bin by bin: which are consistent with it, and which are not.
 
     A model is a name, with settings if need be; what is not said is the
     specimen's: its material, and the roughness measured on its facets. An
@@ -107,15 +113,15 @@ def compare(
     Parameters
     ----------
     file
-        The measurement, a .nc file.
+        The measurement: a .nc file, or another program's file that gonio reads.
     models
-        A model, as often as needed; those that fit the material if not given.
+        A model, as often as needed; those that describe the specimen if not given.
     all
         Show every wavelength, not only the one that differs most.
     relative_threshold
-        Share of a lobe's peak below which logarithms are not compared.
+        Share of a lobe's peak below which logarithms are not compared, from 0 to below 1.
     output
-        Folder for MODEL.nc, every number and every bin of the comparison, and MODEL.png, maps of the difference.
+        Folder for MODEL.nc, every number and every bin of a comparison, and MODEL.png, maps of the difference.
     """
     from gonio import tables
     from gonio.models.specimen import models_for
@@ -125,6 +131,8 @@ def compare(
         raise InputError(
             f"--relative-threshold {relative_threshold:g}: must be 0 or more and less than 1, a share of the peak."
         )
+    if output is not None:
+        check_writable(output)
     measurement = load_measurement(file)
     chosen = models_for(measurement, models or None)
     if not chosen:
@@ -136,7 +144,7 @@ def compare(
     show_comparisons(comparisons, all)
     for comparison in comparisons:
         show_table(f"{tables.name_of(comparison.model)}, other measures of the lobe", tables.metrics(comparison, all))
-        show_table("The bins that add most to L1, beyond doubt (3 standard errors)", tables.worst_bins(comparison))
+        show_table("The bins that add most to L1, significant at 3 standard errors", tables.worst_bins(comparison))
     if comparisons:
         say(
             "L2: root mean square over projected solid angle. log-RMS: of ln(measured / model) above "
@@ -174,18 +182,17 @@ def fit(
     file: Path,
     /,
     *,
-    models: ModelNames,
-    free: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
-    theta_i: Annotated[tuple[float, ...], Parameter(negative="", show_default=False)] = (),
-    wavelength: Annotated[tuple[float, ...], Parameter(negative="", show_default=False)] = (),
-    output: Output = None,
-    picture: Path | None = None,
+    models: Models,
+    free: Words = (),
+    theta_i: Numbers = (),
+    wavelength: Numbers = (),
+    to: Annotated[tuple[Path, ...], Parameter(negative="", show_default=False)] = (),
 ) -> None:
     """Adjust models to a measurement: parameters with 95 % intervals, and which model does best.
 
-    Intervals include the noise and the lack of fit of a model that is not
-    the truth. Several models are ranked by Akaike's information criterion. Of
-    an external file the material must be said.
+    Intervals include the noise and the lack of fit of a model that is not the
+    truth. Several models are ranked by Akaike's information criterion. Of an
+    external file the material must be said.
 
       --model cook-torrance
       --model "cook-torrance material.name=Au"
@@ -194,34 +201,25 @@ def fit(
     Parameters
     ----------
     file
-        The measurement, a .nc file.
+        The measurement: a .nc file, or another program's file that gonio reads.
     models
         A model, as often as needed, with settings where the fit starts or what stays as it is.
     free
-        What is adjusted, such as m, k_d, distribution.alpha, material.eta; each model's roughness if not given.
+        What is adjusted, as often as needed: m, k_d, distribution.alpha, material.eta ...; roughness if not given.
     theta_i
-        Fit these incidences only, degrees.
+        Fit these incident angles only, one or several, degrees; all if not given.
     wavelength
-        Fit these wavelengths only, nm.
-    output
-        A TOML file for the fitted models; gonio compare --model reads it.
-    picture
-        A picture of the fits and of their parameters: .png, .svg or .pdf.
+        Fit these wavelengths only, one or several, nm; all if not given.
+    to
+        A file, as often as needed: .toml for the models, to be compared with --model, or .png .svg .pdf for a picture.
     """
-    from gonio import plots, tables
+    from gonio import tables
     from gonio.fitting import fit as fitted
-    from gonio.fitting import rank
-    from gonio.models.specimen import models_for, write_models
-    from gonio.plots.style import check_path
+    from gonio.models.specimen import models_for
     from gonio.toml_files import InputError
 
     measurement = load_measurement(file)
-    for path in (output, picture):
-        if path is not None:
-            make_writable(path.parent)
-    if picture is not None:
-        with telling_mistakes():
-            check_path(picture)
+    _check_fit_files(to)
     fits, mistakes = [], []
     for model in models_for(measurement, models, to_fit=True):
         with working(f"fitting {tables.name_of(model)}"):
@@ -231,6 +229,30 @@ def fit(
                 mistakes.append(str(error))
     if mistakes:
         raise InputError(*mistakes)
+    _show_fits(fits)
+    for path in to:
+        print(_write_fits(measurement, fits, path))
+
+
+def _check_fit_files(files: Sequence[Path]) -> None:
+    """Refuse, before the fit, what no fit can be written to."""
+    from gonio.plots.style import check_path
+    from gonio.toml_files import InputError
+
+    for path in files:
+        make_room(path)
+        if path.suffix.lower() != ".toml":
+            try:
+                check_path(path)
+            except ValueError as error:
+                raise InputError(f"--to {path}: {error}; models are written to .toml") from None
+
+
+def _show_fits(fits: Sequence[Fit]) -> None:
+    """Print the parameters of every fit, and which model of the same light does best."""
+    from gonio import tables
+    from gonio.fitting import rank
+
     for found in fits:
         show_table(f"{tables.name_of(found.model)}, fitted to {tables.light(found.order)}", tables.parameters(found))
         show_table("Correlations", tables.correlations(found))
@@ -244,17 +266,23 @@ def fit(
                 "QAICc: Akaike's information criterion, lower is better; its uncertainty is how blocks of bins "
                 "disagree about the difference."
             )
-    if output is not None:
-        with telling_refusals(output):
-            print(write_models([found.model for found in fits], output))
-    if picture is not None:
-        with telling_mistakes(), telling_refusals(picture), working(f"drawing {picture}"):
-            print(plots.fits(measurement, fits, picture))
+
+
+def _write_fits(measurement: Measurement, fits: Sequence[Fit], path: Path) -> Path:
+    """Write the fitted models, or draw them, as the suffix says; the path."""
+    from gonio import plots
+    from gonio.models.specimen import write_models
+
+    if path.suffix.lower() == ".toml":
+        with telling_refusals(path):
+            return write_models([found.model for found in fits], path)
+    with telling_mistakes(), telling_refusals(path), working(f"drawing {path}"):
+        return plots.fits(measurement, fits, path)
 
 
 @app.command
 def check(file: Path, /) -> None:
-    """Self-check of one measurement: energy, bookkeeping, reciprocity, facets, settings.
+    """Self-check of one measurement: energy budget, sums, reciprocity, facets, settings.
 
     Exit code 1 if a check fails. A warning says where the settings limit what
     may be concluded.
@@ -266,13 +294,11 @@ def check(file: Path, /) -> None:
     """
     from gonio import tables
     from gonio.self_check import check_file
-    from gonio.toml_files import InputError
 
-    try:
+    refuse_folder(file)
+    with telling_mistakes():
         report = check_file(file)
-    except ValueError as error:
-        raise InputError(str(error)) from None
-    show_table(f"Self-check of {file}", tables.checks(report))
+    show_table(f"Self-check report of {file}", tables.checks(report))
     say(report.summary()[0])
     insist(report, file)
 
@@ -286,29 +312,32 @@ def insist(report: SelfCheckReport, file: Path) -> None:
 @app.command
 def validate(
     *,
-    quick: Annotated[bool, Parameter(negative="", show_default=False)] = False,
-    case: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
-    output: Output = None,
+    quick: Flag = False,
+    case: Words = (),
+    to: Path | None = None,
 ) -> None:
-    """Validate the instrument: measure surfaces whose reflection is known exactly, and judge it by them.
+    """Validate this installation: measure surfaces whose reflection is known exactly.
 
-    Exit code 1 if a law fails. Seeds are fixed: it gives the same rows again.
+    Exit code 1 if a number is not as it should be. Seeds are fixed: it gives
+    the same rows again.
 
     Parameters
     ----------
     quick
         Smaller surfaces and fewer paths: about two minutes.
     case
-        Only the cases whose name contains this, as often as needed.
-    output
-        A Markdown file for the table.
+        Only the cases whose name contains this, as often as needed; all if not given.
+    to
+        A Markdown file (.md) for the table; only printed if not given.
     """
     from gonio import tables, validation
     from gonio.toml_files import InputError
     from microsurfaces.atomic_write import atomic_write
 
-    if output is not None:
-        make_writable(output.parent)
+    if to is not None:
+        if to.suffix.lower() != ".md":
+            raise InputError(f"--to {to}: the table is Markdown; give a name that ends with .md.")
+        make_room(to)
     known = [one.name for one in validation.CASES]
     names = [name for name in known if not case or any(part.lower() in name.lower() for part in case)]
     if not names:
@@ -329,10 +358,10 @@ def validate(
         "excess of reduced chi² over 1 in units of its scatter, or a difference that has a stated bound; 'rejected' "
         "are wrong formulas that the same test must see through."
     )
-    if output is not None:
-        with atomic_write(output) as path:
+    if to is not None:
+        with telling_refusals(to), atomic_write(to) as path:
             path.write_text(validation.markdown(rows), encoding="utf-8")
-        print(output)
+        print(to)
     if interrupted:
         raise RunError(f"Interrupted after {len({row.case for row in rows})} of {len(names)} cases.")
     if failures:

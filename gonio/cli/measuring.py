@@ -10,12 +10,11 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from gonio.cli.judging import insist, judge, models_to_compare, show_comparisons
 from gonio.cli.terminal import (
+    Flag,
     Meter,
     Output,
     Overrides,
@@ -23,7 +22,7 @@ from gonio.cli.terminal import (
     app,
     check_writable,
     complain,
-    make_writable,
+    make_room,
     open_window,
     progress,
     rays_per_second,
@@ -31,6 +30,8 @@ from gonio.cli.terminal import (
     reason,
     say,
     show_table,
+    telling_mistakes,
+    telling_refusals,
 )
 
 if TYPE_CHECKING:
@@ -43,10 +44,8 @@ if TYPE_CHECKING:
 PICTURES = ("lobes", "slices", "hemisphere", "albedo")
 """What is drawn of every measurement that allows it, as functions of `plots` and as files."""
 
-
 WITH_MODELS = ("slices", "albedo")
 """Those that show models, too."""
-
 
 PAGE = "report.html"
 """The page with all of it."""
@@ -61,26 +60,27 @@ def run(
     threads: int | None = None,
     seed: int | None = None,
     output: Output = None,
-    no_pictures: Annotated[bool, Parameter(negative="", show_default=False)] = False,
-    quiet: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    no_pictures: Flag = False,
+    quiet: Flag = False,
 ) -> None:
     """Measure the BRDF that an experiment file describes.
 
     Writes measurement.nc, experiment.toml (everything resolved: run again, it
     gives the same numbers), lobes.png, slices.png, hemisphere.png, albedo.png,
     and report.html, one page to send (with pip install "gonio[report]").
-    Prints albedos, orders of scattering, lost energy and how models compare.
+    Prints albedos, orders of scattering, the energy budget, how models compare
+    and the self-checks.
 
     Parameters
     ----------
     config
-        The experiment, a TOML file such as those in configs/.
+        The experiment, a .toml file such as those in configs/.
     overrides
         Put a value in place of the file's, as often as needed: --set surface.alpha=0.2 --set goniometer.paths=100000
     threads
         Threads to use; all cores if not given. Results do not depend on it.
     seed
-        Seed in place of the file's.
+        Seed of all random numbers, in place of the file's.
     output
         Folder for the results; out/NAME if not given, where NAME.toml is the experiment.
     no_pictures
@@ -204,38 +204,36 @@ def surface(
     *,
     overrides: Overrides = (),
     seed: int | None = None,
-    output: Annotated[Path | None, Parameter(name=["--to", "--output", "-o"])] = None,
-    show: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    to: Path | None = None,
+    show: Flag = False,
 ) -> None:
     """Build an experiment's surface and print its statistics.
 
     Parameters
     ----------
     config
-        The experiment, a TOML file.
+        The experiment, a .toml file such as those in configs/.
     overrides
-        Put a value in place of the file's: --set surface.alpha=0.2
+        Put a value in place of the file's, as often as needed: --set surface.alpha=0.2
     seed
-        Seed in place of the file's.
-    output
-        Save the surface: heights as .x3p, .exr, .png or .npy, triangles as .ply, .stl or .obj.
+        Seed of all random numbers, in place of the file's.
+    to
+        A file for the surface: heights as .x3p, .exr, .png or .npy, triangles as .ply, .stl or .obj.
     show
         Open a window with the surface.
     """
     from gonio import tables
-    from gonio.toml_files import InputError
     from microsurfaces.files import save_surface
 
     experiment = read_experiment(config, overrides, seed)
+    if to is not None:
+        make_room(to)
     relief = experiment.relief()
-    if output is not None:
-        make_writable(output.parent)
-        try:
-            save_surface(relief, output)
-        except ValueError as error:
-            raise InputError(str(error)) from None
+    if to is not None:
+        with telling_mistakes(), telling_refusals(to):
+            save_surface(relief, to)
     show_table("Statistics of the surface, measured on its facets", tables.statistics(relief.statistics().as_dict()))
-    if output is not None:
-        print(f"Saved as {output}")
+    if to is not None:
+        print(to)
     if show:
         open_window(relief)

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from gonio.cli.terminal import (
+    FILE_SUFFIXES,
     Flag,
-    ModelNames,
+    Models,
+    Numbers,
     Output,
     RunError,
+    Words,
     app,
     complain,
     load_measurement,
+    make_room,
     make_writable,
     open_window,
     telling_mistakes,
@@ -44,14 +49,11 @@ KINDS = {
 }
 """What `gonio plot` draws, and the functions of `plots` that do."""
 
-
 UNASKED = ("lobes", "slice", "hemisphere", "albedo")
 """What it draws if no kind is asked for."""
 
-
 OF_SURFACES = {"surface", "paths"}
 """Kinds that show a surface, not a measurement."""
-
 
 KIND_OPTIONS = {
     "lobes": ("wavelength", "radius", "orders", "overlaid", "true_colour", "ground", "show"),
@@ -62,9 +64,38 @@ KIND_OPTIONS = {
 }
 """Options of `gonio plot` that only some kinds have."""
 
+ONE_EACH = {"wavelength": "nm", "theta_i": "deg"}
+"""Options that may have several values, a picture for each, and their units in the names of files."""
 
-PICTURE_SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".gif", ".mp4", ".gltf", ".glb", ".vtp")
-"""What no folder's name ends with."""
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class LobeOptions:
+    """How lobes are drawn."""
+
+    log: Annotated[bool | None, Parameter(negative="--linear", show_default=False)] = None
+    """Draw lobes with a logarithmic or a linear radius; what suits them if not given."""
+    orders: Flag = False
+    """Nest lobes of 1, 2 and more hits."""
+    overlaid: Flag = False
+    """Put the lobes of all incidences into one another."""
+    true_colour: Flag = False
+    """Colour lobes as the eye sees them."""
+    ground: Flag = False
+    """Draw the microsurface under the lobes."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Places:
+    """Where pictures are shown and written."""
+
+    show: Flag = False
+    """Open a window, too, with the lobes or the surface."""
+    to: Annotated[Path | None, Parameter()] = None
+    """File of a single picture: .png .svg .pdf; lobes moving as .gif .mp4, for other programs as .gltf .glb .vtp."""
+    output: Output = None
+    """Folder for the pictures, all .png; the measurement's own if not given."""
 
 
 @app.command
@@ -72,24 +103,21 @@ def plot(
     file: Path,
     /,
     *,
-    kind: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
-    models: ModelNames = (),
-    wavelength: float | None = None,
-    log: Annotated[bool | None, Parameter(negative="--linear", show_default=False)] = None,
-    orders: Flag = False,
-    overlaid: Flag = False,
-    true_colour: Flag = False,
-    ground: Flag = False,
-    theta_i: float | None = None,
-    show: Flag = False,
-    output: Output = None,
+    kind: Words = (),
+    models: Models = (),
+    wavelength: Numbers = (),
+    theta_i: Numbers = (),
+    style: LobeOptions = LobeOptions(),
+    places: Places = Places(),
 ) -> None:
     """Draw a measurement: lobes.png, slices.png, hemisphere.png and albedo.png, or the kinds that are asked for.
+
+    Kinds of pictures, with --kind:
 
       lobes       scattered light as surfaces in space
       slice       the BRDF in the plane of incidence, with error bars and models
       hemisphere  maps of the BRDF and of its errors, seen from above
-      albedo      all the light that is sent back, against the angle of incidence
+      albedo      all the light that is reflected, against the incident angle
       difference  where models are above or below what was measured
       sphere      what the material looks like, beside models
       surface     the microsurface and its statistics
@@ -98,47 +126,31 @@ def plot(
     Parameters
     ----------
     file
-        The measurement: a .nc file, or a foreign file that gonio reads; of an experiment, a .toml file, surface and
-        paths are drawn.
+        The measurement: a .nc file, or another program's file; an experiment's .toml file for surface and paths.
     kind
-        What to draw, as often as needed.
+        What to draw, as often as needed; lobes, slice, hemisphere and albedo if not given.
     models
-        A model, as often as needed, as for gonio compare; lobes have those beside them that are named here.
+        A model, as often as needed; if not given, those that describe the specimen, but none beside lobes.
     wavelength
-        Of lobes, maps and differences, nm; the measured one nearest to 550 if not given.
-    log
-        Draw lobes with a logarithmic or a linear radius; what suits them if not given.
-    orders
-        Nest lobes of 1, 2 and more hits.
-    overlaid
-        Put the lobes of all incidences into one another.
-    true_colour
-        Colour lobes as the eye sees them.
-    ground
-        Draw the microsurface under the lobes.
+        Of lobes, maps and differences, one or several, nm, a picture each; the one nearest to 550 if not given.
     theta_i
-        The lamp's angle for paths, degrees; 45 if not given.
-    show
-        Open a window, too, with the lobes or the surface.
-    output
-        Folder for the pictures; the measurement's own if not given. For a single kind also a file: .png .svg .pdf;
-        lobes moving as .gif .mp4, or for other programs as .gltf .glb .vtp.
+        Incident angle for paths, one or several, degrees, a picture each; 45 if not given.
     """
     kinds = tuple(dict.fromkeys(map(_kind, kind)))
     given = {
-        "wavelength": wavelength,
-        "radius": None if log is None else "log" if log else "linear",
-        "orders": orders,
-        "overlaid": overlaid,
-        "true_colour": true_colour,
-        "ground": ground,
-        "theta_i": theta_i,
-        "show": show,
+        "wavelength": tuple(dict.fromkeys(wavelength)),
+        "theta_i": tuple(dict.fromkeys(theta_i)),
+        "radius": None if style.log is None else "log" if style.log else "linear",
+        "orders": style.orders,
+        "overlaid": style.overlaid,
+        "true_colour": style.true_colour,
+        "ground": style.ground,
+        "show": places.show,
     }
-    options = {name: value for name, value in given.items() if value not in (None, False)}
+    options = {name: value for name, value in given.items() if value}
     _check_options(kinds or UNASKED, options)
     pictures = list(_pictures(file, kinds, models, options))
-    for name, path, draw in _placed(pictures, output, file.parent, bool(kinds)):
+    for name, path, draw in _placed(pictures, places, file.parent):
         _draw_one(name, path, draw, bool(kinds))
 
 
@@ -170,38 +182,66 @@ def _pictures(
     file: Path, kinds: Sequence[str], models: Sequence[str], options: Mapping[str, Any]
 ) -> Iterator[tuple[str, Callable[..., Any]]]:
     """The names of the pictures, and functions that draw them into a path."""
-    from gonio import plots
     from gonio.models.specimen import models_for
 
     wanted = set(kinds or UNASKED)
     experiment = _experiment_behind(file) if "ground" in options or wanted & OF_SURFACES else None
     measurement = load_measurement(file) if wanted - OF_SURFACES else None
     chosen = () if measurement is None else models_for(measurement, models or None)
+    if experiment is not None and "ground" in options:
+        options = {**options, "ground": _height_field(experiment)}
     for kind in kinds or UNASKED:
-        draw = getattr(plots, KINDS[kind])
-        extra = {name: value for name, value in options.items() if name in KIND_OPTIONS.get(kind, ())}
         if kind in OF_SURFACES:
             assert experiment is not None
-            if extra.pop("show", False):
-                open_window(experiment.relief())
-            yield kind, partial(draw, experiment.surface, seed=experiment.seed, **extra)
-            continue
-        assert measurement is not None
-        if kind == "difference":
-            yield from _differences(measurement, chosen, partial(draw, **extra))
-        elif kind == "hemisphere":
-            yield kind, partial(draw, measurement, **extra)
-        elif kind == "lobes":
-            under = {"ground": _height_field(experiment)} if experiment is not None and "ground" in extra else {}
-            yield kind, partial(draw, measurement, models=chosen if models else (), **{**extra, **under})
+            yield from _of_surface(kind, experiment, options)
+        elif kind == "difference":
+            assert measurement is not None
+            yield from _differences(measurement, chosen, options)
         else:
-            yield KINDS[kind], partial(draw, measurement, models=chosen, **extra)
+            assert measurement is not None
+            yield from _of_measurement(kind, measurement, chosen if models or kind != "lobes" else (), options)
+
+
+def _variants(kind: str, options: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """What the file of each picture of a kind ends with, and its options: a picture a wavelength or angle."""
+    own = {name: value for name, value in options.items() if name in KIND_OPTIONS.get(kind, ())}
+    for name in ONE_EACH.keys() & own.keys():
+        values = own.pop(name)
+        for value in values:
+            yield f"-{value:g}{ONE_EACH[name]}" if len(values) > 1 else "", {**own, name: value}
+        return
+    yield "", own
+
+
+def _of_surface(
+    kind: str, experiment: Experiment, options: Mapping[str, Any]
+) -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Pictures of the surface of an experiment; a window is opened if that is among the options."""
+    from gonio import plots
+
+    for ending, extra in _variants(kind, options):
+        if extra.pop("show", False):
+            open_window(experiment.relief())
+        draw = getattr(plots, KINDS[kind])
+        yield f"{kind}{ending}", partial(draw, experiment.surface, seed=experiment.seed, **extra)
+
+
+def _of_measurement(
+    kind: str, measurement: Measurement, models: Sequence[Model], options: Mapping[str, Any]
+) -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Pictures of a measurement, with models where its kind shows them."""
+    from gonio import plots
+
+    for ending, extra in _variants(kind, options):
+        draw = partial(getattr(plots, KINDS[kind]), measurement, **extra)
+        yield f"{KINDS[kind]}{ending}", draw if kind == "hemisphere" else partial(draw, models=models)
 
 
 def _differences(
-    measurement: Measurement, models: Sequence[Model], draw: Callable[..., Any]
+    measurement: Measurement, models: Sequence[Model], options: Mapping[str, Any]
 ) -> Iterator[tuple[str, Callable[..., Any]]]:
-    """One picture a model."""
+    """Pictures of every model's difference from a measurement; each model is compared when it is first drawn."""
+    from gonio import plots
     from gonio.comparison import compare
     from gonio.toml_files import InputError
 
@@ -210,27 +250,39 @@ def _differences(
             "No model describes this specimen by itself; name one with --model, such as "
             '--model "cook-torrance m=0.3 material.name=Au".'
         )
+    compared = cache(partial(compare, measurement))
+
+    def draw(path: Path, model: Model, extra: Mapping[str, Any]) -> None:
+        plots.difference(measurement, compared(model), path, **extra)
+
     names = [type(model).__name__ for model in models]
     for number, (model, name) in enumerate(zip(models, names, strict=True), 1):
         stem = "difference" if len(models) == 1 else f"difference-{name}"
         stem = stem if names.count(name) == 1 else f"{stem}-{number}"
-        yield stem, lambda path, model=model: draw(measurement, compare(measurement, model), path)
+        for ending, extra in _variants("difference", options):
+            yield f"{stem}{ending}", partial(draw, model=model, extra=extra)
 
 
 def _placed(
-    pictures: Sequence[tuple[str, Callable[..., Any]]], output: Path | None, home: Path, asked: bool
+    pictures: Sequence[tuple[str, Callable[..., Any]]], places: Places, home: Path
 ) -> Iterator[tuple[str, Path, Callable[..., Any]]]:
-    """Pictures with the files that they go into: one file, or .png files in a folder, which is made."""
+    """Pictures with the files that they go into: a single one, or .png files in a folder, which is made."""
     from gonio.toml_files import InputError
 
-    file = output is not None and bool(output.suffix) and not output.is_dir()
-    if output is not None and file and asked and len(pictures) == 1:
-        make_writable(output.parent)
-        yield pictures[0][0], output, pictures[0][1]
+    if places.to is not None:
+        if places.output is not None:
+            raise InputError("--to is the file of a single picture, --output the folder of several: give one of them.")
+        if len(pictures) > 1:
+            raise InputError(
+                f"--to {places.to}: takes a single picture, and these are {', '.join(name for name, _ in pictures)}; "
+                "choose a single one, or give a folder with --output."
+            )
+        make_room(places.to)
+        yield pictures[0][0], places.to, pictures[0][1]
         return
-    if output is not None and output.suffix.lower() in PICTURE_SUFFIXES and not output.is_dir():
-        raise InputError(f"{output}: {len(pictures)} pictures need a folder; choose a single one with --kind.")
-    folder = output or home
+    folder = places.output or home
+    if folder.suffix.lower() in FILE_SUFFIXES and not folder.exists():
+        raise InputError(f"--output {folder}: must be a folder; the file of a single picture is given with --to.")
     make_writable(folder)
     for name, draw in pictures:
         yield name, folder / f"{name}.png", draw
@@ -282,7 +334,7 @@ def _height_field(experiment: Experiment) -> HeightField:
 
 
 @app.command
-def report(file: Path, /, *, models: ModelNames = (), output: Output = None) -> None:
+def report(file: Path, /, *, models: Models = (), to: Path | None = None) -> None:
     """Make one HTML page of a measurement, to look at, to print and to send.
 
     It holds a summary in words, pictures, a lobe that turns with the mouse,
@@ -292,21 +344,21 @@ def report(file: Path, /, *, models: ModelNames = (), output: Output = None) -> 
     Parameters
     ----------
     file
-        The measurement: a .nc file, or a foreign file that gonio reads.
+        The measurement: a .nc file, or another program's file that gonio reads.
     models
-        A model, as often as needed, as for gonio compare; those that fit the material if not given.
-    output
-        The page; report.html beside the measurement if not given.
+        A model, as often as needed, as for gonio compare; those that describe the specimen if not given.
+    to
+        The page, an .html file; report.html beside the measurement if not given.
     """
     from gonio.models.specimen import models_for
     from gonio.reporting import report as write
     from gonio.toml_files import InputError
 
-    measurement, page = load_measurement(file), output or file.parent / "report.html"
+    measurement, page = load_measurement(file), to or file.parent / "report.html"
     if page.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{page}: a report is a page; give a name that ends with .html.")
+        raise InputError(f"--to {page}: a report is a page; give a name that ends with .html.")
     chosen = models_for(measurement, models or None)
-    make_writable(page.parent)
+    make_room(page)
     command = ["gonio", "report", file.name, *(word for name in models for word in ("--model", name))]
     with telling_mistakes(), telling_refusals(page), working(f"writing {page}"):
         print(write(measurement, page, chosen, command=shlex.join(command)))
@@ -317,23 +369,23 @@ def render(
     file: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    to: Path,
     scene: str = "sphere",
     size: int = 512,
     spp: int = 256,
     seed: int = 0,
-    isotropic: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    isotropic: Flag = False,
 ) -> None:
     """Path-trace a scene made of a measured surface, with Mitsuba 3 (pip install mitsuba).
 
-    A lamp and a clear sky shine on it; light is reflected as often as it
-    likes. gonio plot draws a sphere without Mitsuba.
+    A small source and a clear sky shine on it, with all interreflections.
+    gonio plot --kind sphere draws a sphere without Mitsuba.
 
     Parameters
     ----------
     file
-        The measurement: a .nc file, a foreign file that gonio reads, or a .bsdf file of RGL's, taken as it is.
-    output
+        The measurement: a .nc file, another program's file that gonio reads, or a .bsdf file of RGL's, taken as it is.
+    to
         The picture: .png, exposed for a screen, or .exr, radiances in linear sRGB.
     scene
         sphere or cylinder on a floor, or ball, a sphere alone seen from afar.
@@ -344,16 +396,16 @@ def render(
     seed
         Seed of the paths.
     isotropic
-        Declare that the surface looks the same from every azimuth of the light.
+        Declare that the surface looks the same from every incident azimuth.
     """
     from gonio.rendering import render as rendered
 
     source: Measurement | Path = file
     if file.suffix.lower() != ".bsdf":
         source = load_measurement(file).as_isotropic() if isotropic else load_measurement(file)
-    make_writable(output.parent)
+    make_room(to)
     try:
-        with telling_mistakes(), telling_refusals(output), working(f"rendering {output}"):
-            print(rendered(source, output, scene, size, spp, seed))
+        with telling_mistakes(), telling_refusals(to), working(f"rendering {to}"):
+            print(rendered(source, to, scene, size, spp, seed))
     except RuntimeError as error:
         raise RunError(str(error)) from None

@@ -27,9 +27,25 @@ if TYPE_CHECKING:
 WIDTH = 100
 """No line is wider, however wide the terminal is."""
 
-
 PLAIN_PROGRESS_SECONDS = 10.0
 """Where there is no terminal to draw a bar on, a line this often."""
+
+FILE_SUFFIXES = {
+    ".nc",
+    ".toml",
+    ".md",
+    ".html",
+    ".png",
+    ".svg",
+    ".pdf",
+    ".jpg",
+    ".gif",
+    ".mp4",
+    ".gltf",
+    ".glb",
+    ".vtp",
+}
+"""What no folder's name ends with."""
 
 app = App(
     name="gonio",
@@ -40,10 +56,15 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 
-Overrides = Annotated[tuple[str, ...], Parameter(name="--set", negative="", show_default=False)]
-ModelNames = Annotated[tuple[str, ...], Parameter(name="--model", negative="", show_default=False)]
-Output = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 Flag = Annotated[bool, Parameter(negative="", show_default=False)]
+Words = Annotated[tuple[str, ...], Parameter(negative="", show_default=False)]
+"""An option that is repeated for each of its values."""
+Overrides = Annotated[tuple[str, ...], Parameter(name="--set", negative="", show_default=False)]
+Models = Annotated[tuple[str, ...], Parameter(name="--model", negative="", show_default=False)]
+Numbers = Annotated[tuple[float, ...], Parameter(negative="", show_default=False, consume_multiple=(1, None))]
+"""An option that takes one or several values: --wavelength 450 550."""
+Output = Annotated[Path | None, Parameter(name=["--output", "-o"])]
+"""The folder of all that a command writes; a command that writes a single file has --to."""
 
 
 class RunError(Exception):
@@ -57,22 +78,38 @@ def complain(code: int, *sentences: str) -> int:
     return code
 
 
-def check_writable(folder: Path) -> None:
-    """Raise `RunError` if results could not be written to `folder`, before a long run; creates nothing."""
-    if folder.exists() and not folder.is_dir():
-        raise RunError(f"{folder} is a file: give another folder with -o.")
-    existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+def check_writable(folder: Path, option: str = "--output") -> None:
+    """Refuse a folder that results could not be written to, before a long run; creates nothing.
+
+    Raises `InputError` where the name is that of a file, `RunError` where the system forbids it.
+    """
+    from gonio.toml_files import InputError
+
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    if not existing.is_dir():
+        raise InputError(f"{option} {folder}: {existing} is a file, not a folder.")
+    if not folder.exists() and folder.suffix.lower() in FILE_SUFFIXES:
+        raise InputError(f"{option} {folder}: must be a folder, and this is the name of a file.")
     try:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
-        raise RunError(f"{folder} cannot be written ({reason(error)}): give another folder with -o.") from None
+        raise RunError(f"{folder} cannot be written ({reason(error)}): give another folder with {option}.") from None
 
 
-def make_writable(folder: Path) -> None:
-    """Create `folder` where it does not exist; raise `RunError` if files could not be written to it."""
-    check_writable(folder)
+def make_writable(folder: Path, option: str = "--output") -> None:
+    """Create `folder` where it does not exist; refuse, as `check_writable` does, what could not be written to."""
+    check_writable(folder, option)
     folder.mkdir(parents=True, exist_ok=True)
+
+
+def make_room(file: Path) -> None:
+    """Create the folder of a file that will be written with --to; refuse a name that no file can have."""
+    from gonio.toml_files import InputError
+
+    if file.is_dir():
+        raise InputError(f"--to {file}: is a folder; give the name of a file.")
+    make_writable(file.parent, "--to")
 
 
 @contextlib.contextmanager
@@ -214,9 +251,19 @@ def working(words: str) -> Iterator[None]:
         yield
 
 
+def refuse_folder(file: Path) -> None:
+    """Raise `InputError` for a folder in place of a measurement's file."""
+    from gonio.toml_files import InputError
+
+    if file.is_dir():
+        within = file / "measurement.nc"
+        raise InputError(f"{file} is a folder{f'; did you mean {within}?' if within.exists() else ': give a .nc file'}")
+
+
 def load_measurement(file: Path) -> Measurement:
-    """The measurement in a file, ours or a foreign one."""
+    """The measurement in a file, ours or another program's."""
     from gonio.formats import load
 
+    refuse_folder(file)
     with telling_mistakes():
         return load(file)
