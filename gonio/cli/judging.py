@@ -82,7 +82,8 @@ def show_comparisons(comparisons: Sequence[Comparison], every_wavelength: bool =
             ("" if every_wavelength else "Of every incidence the wavelength whose albedo differs most; ")
             + "in brackets the standard error of its last digits. L1: how far the lobes differ, and how far noise "
             "alone would make them. Consistent: noise explains the difference; significant: it does not; "
-            "inconclusive: specimens that move the whole lobe could, more realisations would tell."
+            "inconclusive: specimens that move the whole lobe could, more realisations would tell; unknown: there are "
+            "no errors."
         )
         for sentence in dict.fromkeys(line for comparison in comparisons for line in comparison.preamble()):
             say(sentence)

@@ -329,8 +329,8 @@ def test_publish_from_the_command_line(finished, tmp_path, gonio_campaign):
 @pytest.mark.parametrize(
     ("tokens", "words"),
     [
-        (("-o", "x", "--licence", "CC0-1.0"), "--creator requires an argument"),
-        (("-o", "x", "--creator", "A"), "--licence requires an argument"),
+        (("-o", "x", "--licence", "CC0-1.0"), "needs --creator"),
+        (("-o", "x", "--creator", "A"), "needs --licence"),
         (("-o", "x", "--creator", "A", "--licence", ""), "--licence is empty"),
         (("-o", "x", "--creator", " ", "--licence", "CC0-1.0"), "--creator is empty"),
         (("-o", "x", "--creator", "A", "--licence", "CC0-1.0", "--singel"), "--singel"),

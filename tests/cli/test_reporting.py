@@ -479,7 +479,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 def test_the_command_writes_the_page(run: Callable[..., tuple[Any, str, str]]) -> None:
     assert run("grey.nc") == (0, "report.html\n", "")
-    code, out, _ = run("grey.nc", "-o", "new/page.html", "--model", "lambert reflectance=0.6")
+    code, out, _ = run("grey.nc", "--to", "new/page.html", "--model", "lambert reflectance=0.6")
     assert (code, Path(out.strip())) == (0, Path("new/page.html"))
     text = Reader(Path("new/page.html")).words()
     assert "overestimates the directional albedo by 20\u00a0%" in text
@@ -490,9 +490,9 @@ def test_the_command_writes_the_page(run: Callable[..., tuple[Any, str, str]]) -
     ("tokens", "code", "words"),
     [
         (("missing.nc",), 2, "missing.nc"),
-        (("grey.nc", "-o", "page.pdf"), 2, "page.pdf: a report is a page; give a name that ends with .html."),
+        (("grey.nc", "--to", "page.pdf"), 2, "--to page.pdf: a report is a page; give a name that ends with .html."),
         (("grey.nc", "--model", "nobody"), 2, "nobody"),
-        (("grey.nc", "-o", "grey.nc/page.html"), 1, "grey.nc"),
+        (("grey.nc", "--to", "grey.nc/page.html"), 2, "grey.nc is a file, not a folder"),
     ],
 )
 def test_the_command_tells_mistakes(

@@ -99,13 +99,13 @@ def test_seeds_decide_and_the_floor_has_a_shadow(gold, mitsuba):
 
 def test_the_command_writes_pictures(gold, mitsuba, tmp_path, capsys):
     code, out, err = run(
-        capsys, "render", gold[1], "-o", tmp_path / "a.png", "--size", 24, "--spp", 4, "--scene", "cylinder"
+        capsys, "render", gold[1], "--to", tmp_path / "a.png", "--size", 24, "--spp", 4, "--scene", "cylinder"
     )
     assert (code, out.strip(), err) == (0, str(tmp_path / "a.png"), "")
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.size == (24, 24)
     gonio.save(gold[0], tmp_path / "gold.nc")
-    assert run(capsys, "render", tmp_path / "gold.nc", "-o", tmp_path / "a.exr", "--size", 16, "--spp", 4)[0] == 0
+    assert run(capsys, "render", tmp_path / "gold.nc", "--to", tmp_path / "a.exr", "--size", 16, "--spp", 4)[0] == 0
     import OpenEXR
 
     pixels = OpenEXR.File(str(tmp_path / "a.exr")).channels()["RGB"].pixels
@@ -126,10 +126,10 @@ def test_spectra_are_turned_into_colours(mitsuba, tmp_path):
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        (("-o", "x.jpg"), "x.jpg.*the suffixes are .exr and .png"),
-        (("-o", "x.png", "--scene", "sphera"), "no scene 'sphera'; did you mean sphere"),
-        (("-o", "x.png", "--size", "0"), "size = 0: must be a whole number from 1 to"),
-        (("-o", "x.png", "--spp", "-3"), "spp = -3: must be a whole number from 1 to"),
+        (("--to", "x.jpg"), "x.jpg.*the suffixes are .exr and .png"),
+        (("--to", "x.png", "--scene", "sphera"), "no scene 'sphera'; did you mean sphere"),
+        (("--to", "x.png", "--size", "0"), "size = 0: must be a whole number from 1 to"),
+        (("--to", "x.png", "--spp", "-3"), "spp = -3: must be a whole number from 1 to"),
     ],
 )
 def test_what_cannot_be_rendered_is_told_in_one_sentence(more, words, gold, tmp_path, monkeypatch, capsys):
@@ -142,17 +142,17 @@ def test_what_cannot_be_rendered_is_told_in_one_sentence(more, words, gold, tmp_
 
 def test_files_that_are_none_are_told(mitsuba, tmp_path, capsys):
     (tmp_path / "not.bsdf").write_text("hello")
-    code, _, err = run(capsys, "render", tmp_path / "not.bsdf", "-o", tmp_path / "x.png")
+    code, _, err = run(capsys, "render", tmp_path / "not.bsdf", "--to", tmp_path / "x.png")
     assert (code, err.count("\n")) == (2, 1)
     assert "not a tensor file" in err
-    code, _, err = run(capsys, "render", tmp_path / "none.bsdf", "-o", tmp_path / "x.png")
+    code, _, err = run(capsys, "render", tmp_path / "none.bsdf", "--to", tmp_path / "x.png")
     assert (code, err.count("\n")) == (2, 1)
     assert "there is no such file" in err
 
 
 def test_without_mitsuba_one_sentence_says_what_to_install(gold, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "mitsuba", None)
-    code, out, err = run(capsys, "render", gold[1], "-o", tmp_path / "x.png")
+    code, out, err = run(capsys, "render", gold[1], "--to", tmp_path / "x.png")
     assert (code, out, err.count("\n")) == (1, "", 1)
     assert "pip install mitsuba" in err
     assert not list(tmp_path.iterdir())

@@ -239,15 +239,15 @@ def test_a_bad_height_map_is_one_sentence(tmp_path: Path, change: str, words: st
 
 def test_specimens_differ_and_a_longer_series_begins_with_the_shorter(toy: Path) -> None:
     short, long = Experiment.read(toy), Experiment.read(toy, ["realisations=5"])
-    heights = [long.relief(k).heights for k in range(2)]  # type: ignore[union-attr]
-    np.testing.assert_array_equal(short.relief(1).heights, heights[1])  # type: ignore[union-attr]
+    heights = [long.relief(k).heights for k in range(2)]
+    np.testing.assert_array_equal(short.relief(1).heights, heights[1])
     assert abs(np.corrcoef(heights[0].ravel(), heights[1].ravel())[0, 1]) < 0.9
-    assert (Experiment.read(toy, ["seed=4"]).relief(0).heights != heights[0]).any()  # type: ignore[union-attr]
+    assert (Experiment.read(toy, ["seed=4"]).relief(0).heights != heights[0]).any()
 
 
 def test_tiles_of_v_grooves_are_stratified_together(toy: Path) -> None:
     experiment = Experiment.read(toy, ["surface={kind='VGrooves', m=0.5, grooves=8}", "realisations=4"])
-    slopes = np.concatenate([-np.unique(experiment.relief(k).vertices[:, (0, 2)], axis=0)[1::2, 1] for k in range(4)])  # type: ignore[union-attr]
+    slopes = np.concatenate([-np.unique(experiment.relief(k).vertices[:, (0, 2)], axis=0)[1::2, 1] for k in range(4)])
     u = np.sort(1 - np.exp(-((slopes / 0.5) ** 2)))
     np.testing.assert_array_equal(np.floor(u * 32), np.arange(32))
 
@@ -343,7 +343,7 @@ def test_a_target_out_of_reach_is_a_sentence(toy: Path) -> None:
         Experiment.read(toy, ["goniometer.target_error=1e-7"]).run()
 
 
-def test_models_for_a_measurement_from_elsewhere_must_be_told_what_it_is_made_of() -> None:
+def test_models_for_an_external_measurement_must_be_told_what_it_is_made_of() -> None:
     measurement = external()
     assert models_for(measurement) == ()
     gold = gonio.CookTorrance(m=0.3, material=gonio.Conductor("Au"))
