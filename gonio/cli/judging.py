@@ -166,7 +166,8 @@ def _save_comparisons(measurement: Measurement, comparisons: Sequence[Comparison
         stem = folder / (name if unique else f"{name}-{number}")
         with telling_refusals(folder):
             yield comparison.save(stem.with_suffix(".nc"))
-            yield plots.difference(measurement, comparison, stem.with_suffix(".png"))
+            plots.difference(measurement, comparison, stem.with_suffix(".png"))
+        yield stem.with_suffix(".png")
 
 
 @app.command
@@ -249,7 +250,8 @@ def fit(
             print(write_models([found.model for found in fits], output))
     if picture is not None:
         with telling_mistakes(), telling_refusals(picture), working(f"drawing {picture}"):
-            print(plots.fits(measurement, fits, picture))
+            plots.fits(measurement, fits, picture)
+            print(picture)
 
 
 @app.command

@@ -117,7 +117,7 @@ def plot(
     ground
         Draw the microsurface under the lobes.
     theta_i
-        The lamp's angle for paths, degrees; 45 if not given.
+        Angle of incidence for paths, degrees; 45 if not given.
     show
         Open a window, too, with the lobes or the surface.
     output
@@ -192,10 +192,36 @@ def _pictures(
         elif kind == "hemisphere":
             yield kind, partial(draw, measurement, **extra)
         elif kind == "lobes":
-            under = {"ground": _height_field(experiment)} if experiment is not None and "ground" in extra else {}
-            yield kind, partial(draw, measurement, models=chosen if models else (), **{**extra, **under})
+            if experiment is not None and "ground" in extra:
+                extra["ground"] = _height_field(experiment)
+            yield kind, partial(_draw_lobes, measurement, models=chosen if models else (), **extra)
         else:
             yield KINDS[kind], partial(draw, measurement, models=chosen, **extra)
+
+
+def _draw_lobes(
+    measurement: Measurement,
+    path: Path,
+    models: Sequence[Model],
+    wavelength: float | None = None,
+    show: bool = False,
+    **look: Any,
+) -> None:
+    """A picture, a film or meshes of lobes, as the suffix tells, and a window if `show`."""
+    from gonio import plots
+    from gonio.plots.lobe_files import FILMS, MESHES
+
+    style, suffix = plots.LobeStyle(**look), path.suffix.lower()
+    options: dict[str, Any] = {"wavelength": wavelength, "style": style}
+    if suffix in FILMS:
+        if models:
+            raise ValueError("a film shows what was measured alone: leave out --model")
+        plots.lobe_film(measurement, path, **options)
+    else:
+        draw = plots.lobe_meshes if suffix in MESHES else plots.lobes
+        draw(measurement, path, models=models, **options)
+    if show:
+        plots.show_lobes(measurement, models=models, **options)
 
 
 def _differences(
@@ -326,7 +352,7 @@ def render(
 ) -> None:
     """Path-trace a scene made of a measured surface, with Mitsuba 3 (pip install mitsuba).
 
-    A lamp and a clear sky shine on it; light is reflected as often as it
+    A distant source and a clear sky shine on it; light is reflected as often as it
     likes. gonio plot draws a sphere without Mitsuba.
 
     Parameters

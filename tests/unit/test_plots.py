@@ -34,7 +34,7 @@ def test_every_kind_draws_every_incidence(kind, measurement, tmp_path):
     picture = pixels(path)
     assert picture.shape[1] > picture.shape[0] > 900
     # Four panels, each with its lamp: clusters of lamp-coloured pixels in either half both ways, or in four columns.
-    columns, rows = where(picture, style.LAMP)
+    columns, rows = where(picture, style.SOURCE)
     halves = {(4 * c // picture.shape[1], 2 * r // picture.shape[0]) for c, r in zip(columns, rows, strict=True)}
     assert len(halves) >= 4
 
@@ -155,7 +155,7 @@ def test_every_kind_draws_a_measurement_from_elsewhere(kind, options, tmp_path):
     further = (compare(made, model),) if kind is plots.difference else ()
     picture = pixels(kind(made, *further, tmp_path / "picture.png"))
     # Two panels side by side, and two rows of maps if there are errors.
-    columns, _ = where(picture, style.LAMP)
+    columns, _ = where(picture, style.SOURCE)
     assert {2 * c // picture.shape[1] for c in columns} == {0, 1}
     if kind in (plots.hemisphere, plots.difference):
         assert (picture.shape[0] > 900) == ("noise" in options)

@@ -38,7 +38,7 @@ def test_lobes_have_the_lamp_left_and_the_mirror_right(rendered, tmp_path, monke
     lobe = from_function(lambda t, p: np.exp(-(((t - 40) / 15) ** 2) - ((p - 150) / 20) ** 2))
     picture = pixels(plots.lobes(lobe, tmp_path / "lobes.png"))
     picture[:, int(0.8 * picture.shape[1]) :] = 255.0
-    lamp, mirror = (where(picture, colour)[0] for colour in (style.LAMP, style.MIRROR))
+    lamp, mirror = (where(picture, colour)[0] for colour in (style.SOURCE, style.SPECULAR))
     assert min(len(lamp), len(mirror)) > 100
     assert np.median(lamp) < 0.4 * picture.shape[1] < np.median(mirror)
     red, green, blue = np.moveaxis(picture, -1, 0)
@@ -325,7 +325,7 @@ def test_a_film_goes_forth_and_back_and_says_that_it_is_interpolated(tmp_path, m
         lamps = []
         for k in range(4):
             film.seek(k)
-            lamps.append(np.median(where(np.asarray(film.convert("RGB")).astype(float), style.LAMP)[1]))
+            lamps.append(np.median(where(np.asarray(film.convert("RGB")).astype(float), style.SOURCE)[1]))
     # The lamp sinks, and rises again.
     assert lamps[0] < lamps[1] < lamps[2]
     assert lamps[1] == pytest.approx(lamps[3], abs=3)
@@ -343,7 +343,7 @@ def test_a_film_for_slides_is_an_mp4_of_even_size(tmp_path, monkeypatch):
     assert sorted(p.name for p in tmp_path.glob("*.png")) == ["1.png", "2.png"]
     first = pixels(tmp_path / "1.png")
     assert first.shape[0] % 2 == first.shape[1] % 2 == 0
-    assert len(where(first, style.LAMP)[0]) > 30
+    assert len(where(first, style.SOURCE)[0]) > 30
 
 
 def test_without_the_library_a_film_says_what_to_install(monkeypatch):

@@ -10,7 +10,9 @@ from PIL import Image
 
 import gonio
 import microsurfaces as ms
-from gonio.plots.paths import HITS, MASKED, SHADOWED, Profile, exposure, incident, paths, round_length, shares, trace
+from gonio.plots.paths import HITS, MASKED, SHADOWED, paths
+from gonio.plots.section import round_length
+from gonio.transport.profile import Profile, exposure, incident, shares, trace
 
 MODULE = sys.modules["gonio.plots.paths"]
 GAUSSIAN = ms.Gaussian(alpha=0.6, correlation_length=10.0, side=120.0, samples=128)
