@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from gonio.models import CookTorrance, Lambert, Microfacet
     from gonio.netcdf import save
     from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
+    from gonio.rendering import render
+    from gonio.reporting import report
     from gonio.self_check import check
     from gonio.sphere import direction
     from gonio.toml_files import InputError
@@ -59,6 +61,8 @@ _HOME = {
     "fit": "gonio.fitting",
     "load": "gonio.formats",
     "open_campaign": "gonio.campaign.dataset",
+    "render": "gonio.rendering",
+    "report": "gonio.reporting",
     "save": "gonio.netcdf",
     "tabulated": "gonio.measurement",
     "direction": "gonio.sphere",
@@ -96,6 +100,8 @@ __all__ = [
     "models",
     "open_campaign",
     "plots",
+    "render",
+    "report",
     "save",
     "tabulated",
     "validate",

@@ -374,12 +374,9 @@ def render(
     """
     from gonio.rendering import render as rendered
 
-    source: Measurement | Path = file
-    if file.suffix.lower() != ".bsdf":
-        source = load_measurement(file).as_isotropic() if isotropic else load_measurement(file)
     make_writable(output.parent)
     try:
         with telling_mistakes(), telling_refusals(output), working(f"rendering {output}"):
-            print(rendered(source, output, scene, size, spp, seed))
+            print(rendered(file, output, scene=scene, size=size, spp=spp, seed=seed, isotropic=isotropic))
     except RuntimeError as error:
         raise RunError(str(error)) from None

@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 from PIL import Image
 from synthetic import external
 
@@ -175,15 +176,16 @@ def test_a_run_draws_and_compares_once(run: Gonio, monkeypatch: pytest.MonkeyPat
 
 
 def _counted(calls: list[str], name: str, function: Callable[..., Any] | None = None) -> Callable[..., Any]:
-    """Notes that it was called; draws a white square if there is no `function`."""
+    """Notes that it was called; draws nothing, into a file if it is asked to, where there is no `function`."""
 
     def counted(*values: Any, **options: Any) -> Any:
         calls.append(name)
         if function is not None:
             return function(*values, **options)
-        path: Path = values[-1]
-        Image.new("RGB", (2, 2)).save(path)
-        return path
+        figure = Figure(figsize=(1, 1))
+        if isinstance(values[-1], Path):
+            figure.savefig(values[-1])
+        return figure
 
     return counted
 
@@ -231,7 +233,7 @@ def test_surface_prints_statistics_and_saves(run: Gonio, option: str, name: str)
 
 def test_show_opens_a_window(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[ms.Mesh] = []
-    monkeypatch.setattr("gonio.plots.show", shown.append)
+    monkeypatch.setattr("gonio.plots.show_surface", shown.append)
     assert run("surface", "toy.toml", "--show")[0] == 0
     assert len(shown[0].faces) == 2 * 32**2
 
@@ -476,7 +478,8 @@ def blank(monkeypatch: pytest.MonkeyPatch) -> Calls:
 
         return draw
 
-    for name in ("lobes", "slices", "hemisphere", "albedo", "difference", "sphere", "relief", "paths"):
+    names = ("lobes", "lobe_meshes", "slices", "hemisphere", "albedo", "difference", "sphere", "relief", "paths")
+    for name in names:
         monkeypatch.setattr(f"gonio.plots.{name}", stand_in(name))
     return calls
 
@@ -492,9 +495,9 @@ def test_plot_draws_into_a_folder(run: Gonio, measured: Path) -> None:
 @pytest.mark.parametrize(
     ("tokens", "name", "file", "options"),
     [
-        ("--kind lobes --log --orders -o x.png", "lobes", "x.png", {"models": (), "radius": "log", "orders": True}),
-        ("--kind lobes --linear -o new/x.gltf", "lobes", "new/x.gltf", {"models": (), "radius": "linear"}),
-        ("--kind lobes --wavelength 450 -o out", "lobes", "out/lobes.png", {"models": (), "wavelength": 450.0}),
+        ("--kind lobes --log --orders -o x.png", "lobes", "x.png", {"radius": "log", "orders": True}),
+        ("--kind lobes --linear -o new/x.gltf", "lobe_meshes", "new/x.gltf", {"radius": "linear"}),
+        ("--kind lobes --wavelength 450 -o out", "lobes", "out/lobes.png", {"wavelength": 450.0}),
         ("--kind hemisphere --wavelength 450 -o x.svg", "hemisphere", "x.svg", {"wavelength": 450.0}),
         ("--kind difference --model cook-torrance -o out", "difference", "out/difference.png", {}),
     ],
@@ -505,6 +508,10 @@ def test_plot_gives_each_kind_its_options(
     code, out, err = run("plot", str(measured), *tokens.split())
     assert (code, err, out) == (0, "", f"{file}\n")
     ((drawn, _, given),) = blank
+    style = given.pop("style", None)
+    if style is not None:
+        assert given.pop("models") == ()
+        given = {key: value for key, value in (given | vars(style)).items() if value not in (None, False)}
     assert (drawn, given) == (name, options)
     assert Path(file).exists()
 
@@ -541,7 +548,7 @@ def test_plot_shows_the_surface_that_was_measured(run: Gonio, measured: Path, bl
     np.testing.assert_array_equal(built.heights, experiment.relief().heights)
     if source == "NC":
         assert run("plot", file, "--kind", "lobes", "--ground", "-o", "out")[0] == 0
-        np.testing.assert_array_equal(blank[-1][2]["ground"].heights, built.heights)
+        np.testing.assert_array_equal(blank[-1][2]["style"].ground.heights, built.heights)
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,7 @@ def test_pictures_are_embedded_with_words_for_those_who_do_not_see_them(page: Pa
 
 
 def test_what_exists_already_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Verdicts stand for their models, and pictures go into the page byte by byte."""
+    """Comparisons stand for their models, and pictures go into the page byte by byte."""
 
     def again(*_: Any, **__: Any) -> None:
         raise AssertionError
@@ -245,10 +245,10 @@ def test_the_page_tells_where_it_comes_from(page: Path, measurement: Measurement
 
 def test_nothing_that_is_told_becomes_markup(page: Path, tmp_path: Path, undrawn: None) -> None:
     there = {"title": NASTY, "origin": NASTY, NASTY: NASTY}
-    elsewhere = tabulated(np.ones((1, 1, *GRID.shape, 1)) / np.pi, GRID, 30.0, 0.0, 550.0, attributes=there)
+    other = tabulated(np.ones((1, 1, *GRID.shape, 1)) / np.pi, GRID, 30.0, 0.0, 550.0, attributes=there)
     for reader, title in (
         (Reader(page), NASTY.replace("\x07", "")),
-        (Reader(report(elsewhere, tmp_path / "x.html")), NASTY.replace("\x07", "\ufffd")),
+        (Reader(report(other, tmp_path / "x.html")), NASTY.replace("\x07", "\ufffd")),
     ):
         assert title in (reader.words("h1"), reader.words("title"))
         assert len(reader.all("script")) == 3
@@ -339,7 +339,7 @@ def test_a_mirror_scatters_once() -> None:
 # --- What is left out ------------------------------------------------------------------------------------------------
 
 
-def test_what_comes_from_elsewhere_has_no_energy_budget_and_no_self_check(tmp_path: Path, undrawn: None) -> None:
+def test_an_external_measurement_has_no_energy_budget_and_no_self_checks(tmp_path: Path, undrawn: None) -> None:
     colours = external(
         Lambert(reflectance=0.5), detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"}
     )
@@ -411,7 +411,7 @@ def test_a_lambertian_lobe_is_a_cosine() -> None:
 
 
 def test_lobes_and_slices_have_their_sides_and_errors() -> None:
-    """Brighter on the mirror's side than on the lamp's, and on the left (dphi 90) than on the right."""
+    """Brighter on the specular side than on the incident one, and on the left (dphi 90) than on the right."""
     azimuth = np.radians(GRID.dphi)
     brdf = np.broadcast_to(2.0 - np.cos(azimuth) + 0.5 * np.sin(azimuth), GRID.shape)[None, None, ..., None]
     brdf = np.where(np.isin(np.arange(GRID.shape[0]), (14, 15, 16))[:, None, None], np.nan, brdf)
@@ -652,7 +652,7 @@ def test_a_lobe_points_where_the_light_goes(shown: Browser) -> None:
     x, y, z = (shown.run(f"return document.getElementById('lobe').data[0].{axis}.flat()") for axis in "xyz")
     tip = int(np.argmax(np.linalg.norm([x, y, z], axis=0)))
     assert np.linalg.norm([x[tip], y[tip], z[tip]]) == pytest.approx(1.0, abs=1e-6)
-    # The lamp is toward +x, its mirror direction toward -x.
+    # The incident direction is toward +x, the specular one toward -x.
     assert x[tip] < -0.7
     assert z[tip] > 0.0
 
