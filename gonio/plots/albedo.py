@@ -79,7 +79,7 @@ def albedo(
     panels[0].set_ylim(0.0, max(1.05, panels[0].get_ylim()[1]))
     handles = _legend(measurement, wavelengths, models)
     if ax is not None:
-        ax.legend(handles=handles, fontsize=8, frameon=False, handlelength=2.8)
+        ax.legend(handles=handles, fontsize=7, framealpha=0.85, handlelength=2.8)
         return finished(figure, path)
     figure.legend(handles=handles, loc="outside right center", fontsize=9, frameon=False, handlelength=2.8)
     choice = "" if len(columns) == len(every) else f"{len(columns)} of {len(every)} azimuths"

@@ -91,7 +91,7 @@ def slices(
     _slice_axes(panels, incidences, cuts)
     handles = _slice_legend(measurement, wavelengths, models)
     if ax is not None:
-        ax.legend(handles=handles, fontsize=8, frameon=False, handlelength=2.8)
+        ax.legend(handles=handles, fontsize=7, framealpha=0.85, handlelength=2.8)
         return finished(figure, path)
     figure.legend(handles=handles, loc="outside right center", fontsize=9, frameon=False, handlelength=2.8)
     told = has_hemisphere(measurement) and counts(measurement.dataset)
