@@ -161,7 +161,8 @@ def test_lobes_turn_and_have_a_slider(measurement):
         assert "450 nm" in head
         assert "radius" in head
         radius = np.sqrt(np.asarray(lobe.x) ** 2 + np.asarray(lobe.y) ** 2 + np.asarray(lobe.z) ** 2)
-        assert np.nanmax(radius) == pytest.approx(1.0, abs=0.02)
+        # The highest vertex may be one of those that are left out to keep the page small.
+        assert 0.9 < np.nanmax(radius) <= 1.0 + 1e-3
         assert np.asarray(lobe.z).min() >= 0
     # It begins with the second, whose peak is on the specular side: the source is at x > 0.
     assert [trace.visible for trace in lobes] == [False, True]

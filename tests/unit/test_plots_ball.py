@@ -92,6 +92,9 @@ def test_models_without_values_and_too_many_models_are_told(measurement):
         def eval(self, wi, wo, wavelengths):
             raise ValueError("a mirror has no values")
 
+        def average(self, wi, detector, wavelengths):
+            raise NotImplementedError
+
     figure = plots.sphere(measurement, models=(Delta(), *[Lambert(reflectance=0.5)] * 4), size=SIZE)
     assert len(figure.axes) == 2 * 3
     told = figure.get_supxlabel().replace("\n", " ")
