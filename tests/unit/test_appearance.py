@@ -179,7 +179,7 @@ def test_a_plate_glows_where_its_mirror_would():
     row, column = np.unravel_index(image[..., 0].argmax(), image.shape[:2])
     assert column == 35
     theta = np.linspace(80.0, 20.0, 61)[row]
-    # Rough lobes peak beyond the mirror direction.
+    # Rough lobes peak beyond the specular direction.
     assert theta >= 60
     assert angles(reflect(direction(60, 90), [0, 0, 1.0]))[1] == pytest.approx(270)
 
