@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from gonio.plots import INK, LAMP, MIRROR, PAPER
+from gonio.plots.style import INK, PAPER, SOURCE, SPECULAR
 from gonio.sphere import direction, half_vector
 
 Array = NDArray[np.float64]
+LineStyle = str | tuple[float, tuple[float, ...]]
 
 THETA_I, PHI_I, THETA_O, DPHI = 48.0, 42.0, 58.0, 112.0
 GREEN, GREY = "#00795c", "#8a8a86"
@@ -27,7 +28,7 @@ def on_screen(points: Array) -> Array:
     return np.stack([points @ RIGHT, points @ UP])
 
 
-def line(axes: Axes, points: Array, colour: str = GREY, style: str = "-", width: float = 1.0) -> None:
+def line(axes: Axes, points: Array, colour: str = GREY, style: LineStyle = "-", width: float = 1.0) -> None:
     """A polyline through points (n, 3)."""
     axes.plot(*on_screen(points), color=colour, ls=style, lw=width, solid_capstyle="round")
 
@@ -62,29 +63,29 @@ def draw(axes: Axes) -> None:
     arrow(axes, origin, np.array([0.0, 0.0, 1.1]), GREY, 1.2)
     word(axes, np.array([0.0, 0.0, 1.17]), "z, the macroscopic normal", GREY, 11)
     # The plane of incidence meets the sample in this line.
-    line(axes, np.outer((-1.0, 1.0), direction(90.0, PHI_I)), INK, (0, (4, 3)))  # type: ignore[arg-type]
-    word(axes, direction(90.0, PHI_I), "dphi = 0\nlamp's side", INK, 10, (-0.2, -0.09))
-    word(axes, direction(90.0, PHI_I + 180), "dphi = 180\nmirror's side", INK, 10, (0.28, -0.1))
+    line(axes, np.outer((-1.0, 1.0), direction(90.0, PHI_I)), INK, (0, (4, 3)))
+    word(axes, direction(90.0, PHI_I), "dphi = 0\nincident side", INK, 10, (-0.2, -0.09))
+    word(axes, direction(90.0, PHI_I + 180), "dphi = 180\nspecular side", INK, 10, (0.28, -0.1))
     wi, wo = direction(THETA_I, PHI_I), direction(THETA_O, PHI_I + DPHI)
     wh = half_vector(wi, wo)
     for w, name, colour, by in (
-        (wi, r"$\omega_i$ to the lamp", LAMP, (-0.12, 0.09)),
-        (wo, r"$\omega_o$ to the detector", MIRROR, (0.02, 0.1)),
+        (wi, r"$\omega_i$ to the source", SOURCE, (-0.12, 0.09)),
+        (wo, r"$\omega_o$ to the detector", SPECULAR, (0.02, 0.1)),
         (wh, r"$\omega_h$ half way", GREEN, (0.27, 0.07)),
     ):
         arrow(axes, origin, 1.05 * w, colour)
         word(axes, 1.05 * w, name, colour, 13, by)
-    for w, colour in ((wi, LAMP), (wo, MIRROR)):
+    for w, colour in ((wi, SOURCE), (wo, SPECULAR)):
         foot = w * (1, 1, 0)
         line(axes, np.stack([1.05 * w, 1.05 * foot]), colour, ":")
         line(axes, np.stack([origin, 1.05 * foot]), colour, ":")
     steps = np.linspace(0.0, 1.0, 60)
-    arc(axes, 0.52 * direction(THETA_I * steps, PHI_I), LAMP)
-    word(axes, 0.61 * direction(THETA_I / 2, PHI_I), r"$\theta_i$", LAMP)
-    arc(axes, 0.42 * direction(THETA_O * steps, PHI_I + DPHI), MIRROR)
-    word(axes, 0.35 * direction(THETA_O * 0.62, PHI_I + DPHI), r"$\theta_o$", MIRROR)
-    arc(axes, 0.62 * direction(90.0, PHI_I * steps), LAMP)
-    word(axes, 0.72 * direction(90.0, PHI_I * 0.5), r"$\phi_i$", LAMP)
+    arc(axes, 0.52 * direction(THETA_I * steps, PHI_I), SOURCE)
+    word(axes, 0.61 * direction(THETA_I / 2, PHI_I), r"$\theta_i$", SOURCE)
+    arc(axes, 0.42 * direction(THETA_O * steps, PHI_I + DPHI), SPECULAR)
+    word(axes, 0.35 * direction(THETA_O * 0.62, PHI_I + DPHI), r"$\theta_o$", SPECULAR)
+    arc(axes, 0.62 * direction(90.0, PHI_I * steps), SOURCE)
+    word(axes, 0.72 * direction(90.0, PHI_I * 0.5), r"$\phi_i$", SOURCE)
     arc(axes, 0.48 * direction(90.0, PHI_I + DPHI * steps), INK)
     word(axes, 0.6 * direction(90.0, PHI_I + DPHI * 0.62), r"$\mathrm{dphi} = \phi_o - \phi_i$", INK, 12, (0.06, -0.03))
 

@@ -52,6 +52,8 @@ if TYPE_CHECKING:  # the same names as in _HOME and _MODULES, for type checkers
     from gonio.optics import Dielectric as Dielectric
     from gonio.optics import Lambertian as Lambertian
     from gonio.optics import Mirror as Mirror
+    from gonio.rendering import render as render
+    from gonio.reporting import report as report
     from gonio.self_check import check as check
     from gonio.sphere import direction as direction
     from gonio.toml_files import InputError as InputError
@@ -97,6 +99,8 @@ _HOME = {
     "fit": "gonio.fitting",
     "load": "gonio.formats",
     "open_campaign": "gonio.campaign.dataset",
+    "render": "gonio.rendering",
+    "report": "gonio.reporting",
     "save": "gonio.netcdf",
     "tabulated": "gonio.measurement",
     "validate": "gonio.validation",

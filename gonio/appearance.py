@@ -1,9 +1,9 @@
 """What a surface looks like: a sphere and a plate shaded with a BRDF, in linear sRGB, without a renderer.
 
-The lamp is one direction, its light f cosθ_i E. The sky is all directions at once: by Helmholtz's reciprocity the light
-that reaches the eye is the lobe that a lamp in the eye's place would make, times what each of its bins sees; what is
-measured keeps its energy exactly. Nothing is reflected twice, and no shadow falls; the camera is far
-away. Values are radiances; `exposed` turns them into a picture.
+The light of a distant source comes from one direction and is reflected as f cosθ_i E. The sky is all directions at
+once: by Helmholtz's reciprocity the light that reaches the eye is the lobe of light from the eye's place, times what
+each of its bins sees; what is measured keeps its energy exactly. Nothing is reflected twice, and no shadow falls; the
+camera is far away. Values are radiances; `exposed` turns them into a picture.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Sky = Callable[[Vectors], Floats]
 """Radiance (..., 3) of the surroundings in world directions (..., 3); z is up, the camera looks along +y."""
 
 RINGS, SECTORS = 30, 60
-"""Bins in which the reflected sky is summed: the lobe of a lamp in the eye's place."""
+"""Bins in which the reflected sky is summed: the lobe of light from the eye's place."""
 
 VIEW_STEP = {True: 4.0, False: 8.0}
 """Degrees between polar angles of the eye at which that is done, from 0 to 88, if isotropic and if not."""
@@ -58,11 +58,11 @@ EYE = (0.0, -1.0, 0.0)
 _TOWARDS_EYE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Axes of the picture, rows: to the right, up, to the eye."""
 
-LAMP = (-0.45, -0.55, 0.7)
-"""World direction to the lamp: from above, the left and the camera's side."""
+LIGHT = (-0.45, -0.55, 0.7)
+"""World direction from which the light of the distant source comes: from above, the left and the camera's side."""
 
 IRRADIANCE = 2.0
-"""Of the lamp on a surface that faces it; the sky's is about π."""
+"""Of the distant source on a surface that faces it; the sky's is about π."""
 
 
 def daylight(w: Vectors) -> Floats:
@@ -88,7 +88,7 @@ def coloured(source: Measurement | Model | BRDF, wavelengths: Floats | None = No
 def sphere(
     source: Measurement | Model | BRDF,
     size: int = 400,
-    lamp: tuple[float, float, float] = LAMP,
+    light_direction: tuple[float, float, float] = LIGHT,
     irradiance: float = IRRADIANCE,
     sky: Sky | None = daylight,
     wavelengths: Floats | None = None,
@@ -101,7 +101,7 @@ def sphere(
     lobes = coloured(source, wavelengths)
     normals = _ball(size)
     eye = np.broadcast_to(EYE, normals.shape)
-    image = _lit(lobes, _frames(normals), eye, _unit(lamp), irradiance)
+    image = _lit(lobes, _frames(normals), eye, _unit(light_direction), irradiance)
     if sky is not None:
         image += _reflected_sky(lobes, sky, normals)
     return np.where(silhouette(size)[..., None] > 0, image.reshape(size, size, 3), np.nan)
@@ -125,11 +125,11 @@ def _ball(size: int) -> Vectors:
 def plate(
     source: Measurement | Model | BRDF,
     size: tuple[int, int] = (300, 500),
-    lamp_theta: float = 70.0,
+    light_theta: float = 70.0,
     irradiance: float = IRRADIANCE,
     wavelengths: Floats | None = None,
 ) -> Floats:
-    """Radiances (*size, 3) of a level plate under a lamp at `lamp_theta` degrees behind it.
+    """Radiances (*size, 3) of a level plate under light from behind it, at `light_theta` degrees from its normal.
 
     The camera stands before the plate: rows see it at 80 degrees from the normal at the top to 20 at the bottom,
     columns look 35 degrees to either side. x runs to the right.
@@ -138,8 +138,8 @@ def plate(
     phi = np.linspace(-35.0, 35.0, size[1])[None, :]
     eye = direction(theta, 270.0 + phi).reshape(-1, 3)
     frames = np.broadcast_to(np.eye(3), (len(eye), 3, 3))
-    lamp = direction(lamp_theta, 90.0)
-    return _lit(coloured(source, wavelengths), frames, eye, lamp, irradiance).reshape(*size, 3)
+    light = direction(light_theta, 90.0)
+    return _lit(coloured(source, wavelengths), frames, eye, light, irradiance).reshape(*size, 3)
 
 
 def exposure(*images: Floats) -> float:
@@ -220,9 +220,10 @@ def _patches(detector: HemisphereGrid, radius: float) -> csr_array:
     return csr_array((bump, (pairs["i"], pairs["j"])), shape=(len(theirs), len(ours)))
 
 
-def _lit(lobes: BRDF, frames: Floats, eye: Vectors, lamp: Vectors, irradiance: float) -> Floats:
-    """Radiances (n, 3) towards `eye` (n, 3) of surfaces whose axes are the rows of `frames` (n, 3, 3), by the lamp."""
-    wo, wi = _local(frames, eye), _local(frames, np.broadcast_to(lamp, eye.shape))
+def _lit(lobes: BRDF, frames: Floats, eye: Vectors, light: Vectors, irradiance: float) -> Floats:
+    """Radiances (n, 3) towards `eye` (n, 3) of surfaces whose axes are the rows of `frames` (n, 3, 3), lit from
+    `light`."""
+    wo, wi = _local(frames, eye), _local(frames, np.broadcast_to(light, eye.shape))
     radiance = np.zeros((len(wo), 3))
     lit = wi[:, 2] > 0
     values = np.nan_to_num(lobes.evaluate(wi[lit], wo[lit]))
@@ -259,7 +260,7 @@ def _sky_of_ring(lobes: BRDF, sky: Sky, theta: float, normals: Vectors) -> Float
     """Radiances (n, 3) towards the eye of surfaces with these normals, all of them `theta` degrees off the eye."""
     frames = _frames(normals)
     _, phi = angles(_local(frames, np.broadcast_to(EYE, normals.shape)))
-    bins = _Bins.around_mirror() if lobes.isotropic else _Bins.even()
+    bins = _Bins.around_specular() if lobes.isotropic else _Bins.even()
     local = direction(bins.theta.mean(axis=1)[:, None], bins.dphi[:, None] + phi)
     seen = sky(np.einsum("nij,bni->bnj", frames, local, optimize=True))
     if lobes.isotropic:
@@ -283,8 +284,8 @@ class _Bins:
         return cls._of(np.linspace(0.0, 360.0, SECTORS + 1))
 
     @classmethod
-    def around_mirror(cls) -> Self:
-        """Sectors that are narrow about the mirror direction, as lobes are that graze the surface."""
+    def around_specular(cls) -> Self:
+        """Sectors that are narrow about the specular direction, as lobes are that graze the surface."""
         u = np.linspace(-1.0, 1.0, SECTORS + 1)
         return cls._of(180 + 180 * u * np.abs(u))
 
@@ -302,7 +303,7 @@ class _Bins:
 
 
 def _shares(lobes: BRDF, theta: float, phi: float, bins: _Bins, nodes: int) -> Floats:
-    """How much of what each bin sees is sent to an eye at these angles, (bins, 3): the lobe of a lamp in its place.
+    """How much of what each bin sees is sent to an eye at these angles, (bins, 3): the lobe of light from its place.
 
     `nodes`² values a bin are averaged.
     """

@@ -85,14 +85,20 @@ class BRDF:
         """
         if isinstance(source, BRDF | Measurement):
             made = source if isinstance(source, BRDF) else _of_measurement(source)
-            if wavelengths is not None and not np.array_equal(np.atleast_1d(wavelengths), made.wavelengths):
-                known, wanted = (
-                    ", ".join(f"{nm:g}" for nm in np.atleast_1d(np.asarray(w))) for w in (made.wavelengths, wavelengths)
-                )
-                raise ValueError(f"{made.title} is known at {known} nm and not at {wanted} nm: ask for what it has")
+            if wavelengths is not None and made.columns(wavelengths) != list(range(len(made.wavelengths))):
+                raise ValueError(f"{made.title} has more wavelengths than these: take those columns of what it returns")
             return made
         nm = np.atleast_1d(np.asarray(WAVELENGTHS if wavelengths is None else wavelengths, np.float64))
         return _of_function(source, nm) if callable(source) else _of_model(source, nm)
+
+    def columns(self, wavelengths: ArrayLike) -> list[int]:
+        """Where these wavelengths in nm are among its own; ValueError for one that it does not have."""
+        wanted = np.atleast_1d(np.asarray(wavelengths, np.float64))
+        found = [np.flatnonzero(np.isclose(self.wavelengths, nm)) for nm in wanted]
+        if not all(map(len, found)):
+            known, asked = (", ".join(f"{nm:g}" for nm in values) for values in (self.wavelengths, wanted))
+            raise ValueError(f"{self.title} is known at {known} nm and not at {asked} nm: ask for what it has")
+        return [int(places[0]) for places in found]
 
     def eval(self, wi: ArrayLike, wo: ArrayLike) -> Floats:
         """Values in 1/sr, no cosine, for light from `wi` (..., 3) seen from `wo` (..., 3), shape (..., W).

@@ -28,7 +28,7 @@ IN_PLANE = 5.0
 def plane_of_incidence(sources: Sequence[float], lobes: Iterable[tuple[Floats, Floats]] = ()) -> str:
     """An SVG of sources at these polar angles in degrees and their specular directions, and of lobes.
 
-    A lobe is signed angles in degrees, positive on the mirror's side, and radii from 0 to 1.
+    A lobe is signed angles in degrees, positive on the specular side, and radii from 0 to 1.
     """
     r, width = RADIUS, 2 * RADIUS + 40
     lines = [f'<path d="M{-r},0 A{r},{r} 0 0 1 {r},0 Z" fill="none" stroke="#8a8a86" stroke-width="1"/>']

@@ -1,8 +1,8 @@
 """Path-traced pictures of scenes made of a measured surface, by Mitsuba 3 where it is installed.
 
 The measurement becomes a temporary file of RGL's (`.bsdf`), which Mitsuba's plugin `measured` evaluates and samples:
-unlike `appearance`, light is reflected as often as it likes, and shadows fall. z is up; light is `appearance`'s lamp
-and sky. Values are radiances in linear sRGB.
+unlike `appearance`, light is reflected as often as it likes, and shadows fall. z is up; light is
+`appearance`'s source and sky. Values are radiances in linear sRGB.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from gonio import appearance
 from gonio.appearance import Sky, daylight
-from gonio.formats import export
+from gonio.brdf import BRDF
+from gonio.formats import export, load
 from gonio.formats.rgl import read
 from gonio.measurement import Measurement
 from gonio.sphere import direction
@@ -57,21 +58,33 @@ SUFFIXES = (".exr", ".png")
 
 
 def render(
-    source: Measurement | PathLike,
+    source: Measurement | BRDF | PathLike,
     path: PathLike,
+    *,
     scene: str = "sphere",
     size: int = 512,
     spp: int = 256,
     seed: int = 0,
+    isotropic: bool = False,
 ) -> Path:
-    """Render `scene` with the BRDF of a measurement, or of an RGL file `.bsdf`, and return the path of the picture.
+    """Path-trace `scene`, made of a surface with this BRDF, by Mitsuba 3; write the picture and return its path.
 
-    `.exr` holds radiances, `.png` is exposed for a screen. The picture has `size`² texels of `spp` paths each. Raises
-    ValueError for a suffix, a scene or a number that does not do, RuntimeError where Mitsuba is not installed.
+    `source` is a measurement, a BRDF or a file of either: `.nc` or a foreign one, sampled again for Mitsuba, or `.bsdf`
+    of RGL's, taken as it is. `scene` is "sphere" or "cylinder" on a floor, or "ball", a sphere alone seen from afar.
+    The picture has `size`² texels of `spp` paths each; `.exr` holds radiances in linear sRGB, `.png` is exposed for a
+    screen. `isotropic` declares of a measurement that the surface looks the same from every azimuth of the light.
+    Raises ValueError for a suffix, a scene or a number that does not do and for a measurement that does not know enough
+    of the BRDF, RuntimeError where Mitsuba is not installed.
+
+    >>> gonio.render(measurement, "gold.png", scene="cylinder")  # doctest: +SKIP
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"cannot render into {str(path)!r}: the suffixes are {' and '.join(SUFFIXES)}")
+    if not isinstance(source, Measurement | BRDF) and Path(source).suffix.lower() != ".bsdf":
+        source = load(source)
+    if isotropic and isinstance(source, Measurement):
+        source = source.as_isotropic()
     image = radiances(source, scene, size, spp, seed=seed)
     with atomic_write(path) as temporary:
         _write(image, temporary)
@@ -79,7 +92,7 @@ def render(
 
 
 def radiances(
-    source: Measurement | PathLike,
+    source: Measurement | BRDF | PathLike,
     scene: str = "sphere",
     size: int = 512,
     spp: int = 256,
@@ -87,7 +100,8 @@ def radiances(
     irradiance: float = appearance.IRRADIANCE,
     seed: int = 0,
 ) -> Floats:
-    """The radiances (size, size, 3) that `render` writes, of any `sky`, and of a lamp of any irradiance, 0 for none."""
+    """The radiances (size, size, 3) that `render` writes, of any `sky`, and of a source of any irradiance, 0 for
+    none."""
     _check(scene, size, spp)
     with _mitsuba() as mi, tempfile.TemporaryDirectory() as folder:
         file = _bsdf_file(source, Path(folder))
@@ -103,9 +117,9 @@ def _check(scene: str, size: int, spp: int) -> None:
             raise ValueError(f"{name} = {value}: must be a whole number from 1 to {most}")
 
 
-def _bsdf_file(source: Measurement | PathLike, folder: Path) -> Path:
+def _bsdf_file(source: Measurement | BRDF | PathLike, folder: Path) -> Path:
     """An RGL file of linear sRGB that Mitsuba can open: the one that was given, or a temporary one."""
-    if isinstance(source, Measurement):
+    if isinstance(source, Measurement | BRDF):
         return export(source, folder / "surface.bsdf", "rgl").path
     path = Path(source)
     if not path.is_file():
@@ -151,7 +165,7 @@ def _fast_variant_works() -> bool:
 
 def _scene(mi: ModuleType, name: str, file: Path, size: int, sky: Sky, irradiance: float) -> dict[str, Any]:
     """What Mitsuba loads."""
-    towards_lamp = np.asarray(appearance.LAMP) / np.linalg.norm(appearance.LAMP)
+    light_direction = np.asarray(appearance.LIGHT) / np.linalg.norm(appearance.LIGHT)
     world: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": DEPTH + 1},
@@ -163,7 +177,7 @@ def _scene(mi: ModuleType, name: str, file: Path, size: int, sky: Sky, irradianc
         world[thing] = shape | {"bsdf": {"type": "ref", "id": "surface"}}
     if irradiance > 0:
         light = {"type": "rgb", "value": float(irradiance)}
-        world["lamp"] = {"type": "directional", "direction": (-towards_lamp).tolist(), "irradiance": light}
+        world["light"] = {"type": "directional", "direction": (-light_direction).tolist(), "irradiance": light}
     if name != "ball":
         floor = {"type": "diffuse", "reflectance": {"type": "rgb", "value": FLOOR}}
         world["floor"] = {"type": "disk", "to_world": mi.ScalarTransform4f().scale(3000), "bsdf": floor}

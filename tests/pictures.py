@@ -1,15 +1,17 @@
 """What the tests of pictures share: measurements to draw, and what a picture shows."""
 
+import io
 from types import SimpleNamespace
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 
 import gonio
 import microsurfaces as ms
 from gonio.detectors import HemisphereGrid, Klems
-from gonio.plots import style
 
 GRID = HemisphereGrid(theta_step=5.0, phi_step=10.0)
 SCENE = gonio.Scene(ms.Gaussian(alpha=0.3, side=100.0, samples=64).build(seed=1), gonio.Conductor("Au"))
@@ -57,8 +59,13 @@ def from_function(f, grid=GRID, theta_i=(40.0,), phi_i=(0.0,), error=0.1, mc=0.0
     )
 
 
-def pixels(path):
-    return np.asarray(Image.open(path).convert("RGB")).astype(float)
+def pixels(picture):
+    """RGB (rows, columns, 3), 0 to 255, of a figure or of a file."""
+    if isinstance(picture, Figure):
+        content = io.BytesIO()
+        picture.savefig(content, format="png")
+        picture = content
+    return np.asarray(Image.open(picture).convert("RGB")).astype(float)
 
 
 def where(picture, colour, tolerance=40):
@@ -68,11 +75,6 @@ def where(picture, colour, tolerance=40):
     return columns, rows
 
 
-def words_of(draw, monkeypatch):
+def words_of(figure):
     """Everything that is written in a figure."""
-    from matplotlib.text import Text
-
-    drawn = []
-    monkeypatch.setattr(style, "save", lambda figure, path: drawn.append(figure) or path)
-    draw()
-    return [text.get_text() for text in drawn[0].findobj(Text) if text.get_text()]
+    return [text.get_text() for text in figure.findobj(Text) if text.get_text()]

@@ -175,7 +175,8 @@ def _save_comparisons(measurement: Measurement, comparisons: Sequence[Comparison
         stem = folder / (name if unique else f"{name}-{number}")
         with telling_refusals(folder):
             yield comparison.save(stem.with_suffix(".nc"))
-            yield plots.difference(measurement, comparison, stem.with_suffix(".png"))
+            plots.difference(measurement, comparison, stem.with_suffix(".png"))
+        yield stem.with_suffix(".png")
 
 
 @app.command
@@ -278,7 +279,8 @@ def _write_fits(measurement: Measurement, fits: Sequence[Fit], path: Path) -> Pa
         with telling_refusals(path):
             return write_models([found.model for found in fits], path)
     with telling_mistakes(), telling_refusals(path), working(f"drawing {path}"):
-        return plots.fits(measurement, fits, path)
+        plots.fits(measurement, fits, path)
+    return path
 
 
 @app.command

@@ -166,13 +166,14 @@ def _show(
     return [path.name for path in shown]
 
 
-def _made(make: Callable[[Path], Path], path: Path) -> list[Path]:
+def _made(make: Callable[[Path], object], path: Path) -> list[Path]:
     """The file, once it is there; nothing where it cannot be made, which is told."""
     try:
-        return [make(path)]
+        make(path)
     except (ValueError, OSError) as error:
         complain(0, f"No {path.name}: {error}")
         return []
+    return [path]
 
 
 def _can_write_pages() -> bool:

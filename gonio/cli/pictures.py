@@ -233,8 +233,34 @@ def _of_measurement(
     from gonio import plots
 
     for ending, extra in _variants(kind, options):
-        draw = partial(getattr(plots, KINDS[kind]), measurement, **extra)
-        yield f"{KINDS[kind]}{ending}", draw if kind == "hemisphere" else partial(draw, models=models)
+        draw: Callable[..., Any] = _draw_lobes if kind == "lobes" else getattr(plots, KINDS[kind])
+        shown = {} if kind == "hemisphere" else {"models": models}
+        yield f"{KINDS[kind]}{ending}", partial(draw, measurement, **shown, **extra)
+
+
+def _draw_lobes(
+    measurement: Measurement,
+    path: Path,
+    models: Sequence[Model],
+    wavelength: float | None = None,
+    show: bool = False,
+    **look: Any,
+) -> None:
+    """A picture, a film or meshes of lobes, as the suffix tells, and a window if `show`."""
+    from gonio import plots
+    from gonio.plots.lobe_files import FILMS, MESHES
+
+    style, suffix = plots.LobeStyle(**look), path.suffix.lower()
+    options: dict[str, Any] = {"wavelength": wavelength, "style": style}
+    if suffix in FILMS:
+        if models:
+            raise ValueError("a film shows what was measured alone: leave out --model")
+        plots.lobe_film(measurement, path, **options)
+    else:
+        draw = plots.lobe_meshes if suffix in MESHES else plots.lobes
+        draw(measurement, path, models=models, **options)
+    if show:
+        plots.show_lobes(measurement, models=models, **options)
 
 
 def _differences(
@@ -378,7 +404,7 @@ def render(
 ) -> None:
     """Path-trace a scene made of a measured surface, with Mitsuba 3 (pip install mitsuba).
 
-    A small source and a clear sky shine on it, with all interreflections.
+    A distant source and a clear sky shine on it, with all interreflections.
     gonio plot --kind sphere draws a sphere without Mitsuba.
 
     Parameters
@@ -400,12 +426,9 @@ def render(
     """
     from gonio.rendering import render as rendered
 
-    source: Measurement | Path = file
-    if file.suffix.lower() != ".bsdf":
-        source = load_measurement(file).as_isotropic() if isotropic else load_measurement(file)
     make_room(to)
     try:
         with telling_mistakes(), telling_refusals(to), working(f"rendering {to}"):
-            print(rendered(source, to, scene, size, spp, seed))
+            print(rendered(file, to, scene=scene, size=size, spp=spp, seed=seed, isotropic=isotropic))
     except RuntimeError as error:
         raise RunError(str(error)) from None

@@ -229,7 +229,7 @@ def open_window(relief: HeightField | Mesh) -> None:
     from microsurfaces import Mesh
 
     try:
-        plots.show(relief if isinstance(relief, Mesh) else relief.mesh())
+        plots.show_surface(relief if isinstance(relief, Mesh) else relief.mesh())
     except RuntimeError as error:
         raise RunError(f"No window: {error}") from None
 

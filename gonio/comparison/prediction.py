@@ -58,7 +58,8 @@ def _error_of(albedo: Floats, solid: Floats, random: Floats) -> Floats:
 def predicted(model: Model | BRDF, wi: Vectors, detector: Detector, wavelengths: Floats) -> Estimate:
     """Bin averages (bins, W) of `model` in 1/sr with their random standard errors, 0 for models that have none."""
     if isinstance(model, BRDF):
-        return Estimate(BRDF.of(model, wavelengths).average(wi, detector), model.standard_error(wi, detector))
+        columns = model.columns(wavelengths)
+        return Estimate(model.average(wi, detector)[:, columns], model.standard_error(wi, detector)[:, columns])
     if isinstance(model, RandomWalk):
         value, error = model.estimate(wi, detector, wavelengths, orders=1)
         return Estimate(value[0], error[0])

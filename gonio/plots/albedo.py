@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gonio.comparison import predicted
 from gonio.detectors import HemisphereGrid
-from gonio.plots import style
 from gonio.plots.style import (
     INK,
     MARKERS,
     PathLike,
+    asked_for,
     channel,
+    figure_of,
+    finished,
     has_errors,
     headline,
     hits,
@@ -28,37 +31,48 @@ from gonio.sphere import direction
 from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
+    from gonio.brdf import BRDF
     from gonio.measurement import Measurement
     from gonio.models import Model
 
 AZIMUTHS = 3
-"""At most so many azimuths of the light, a panel each."""
+"""At most so many azimuths phi_i, a panel each."""
 GRID = HemisphereGrid(theta_step=5.0, phi_step=15.0)
 """Bins over which models are averaged and summed; each bin is integrated as finely as the lobe asks for."""
 
 
-def albedo(measurement: Measurement, path: PathLike, models: Sequence[Model] = ()) -> Path:
-    """Draw the directional-hemispherical reflectance against theta_i and return the path.
+def albedo(
+    measurement: Measurement,
+    path: PathLike | None = None,
+    *,
+    models: Sequence[Model | BRDF] = (),
+    phi_i: float | None = None,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw the directional-hemispherical reflectance against theta_i; a figure, also written into `path`.
 
-    A panel an azimuth of the light. Wavelengths have their colours, orders of scattering their line styles, and error
-    bars are two standard errors; the line at 1 is all the light there is. `models`, integrated over the hemisphere, are
-    markers, to be held against the order that they describe. A measurement that comes from elsewhere has no orders, and
-    error bars only if its errors are known; where it knows a part of the hemisphere only, so does its albedo.
+    A panel an azimuth, of all measured ones or of `phi_i`, degrees, alone; of a single one into `ax`. Wavelengths have
+    their colours, orders of scattering their line styles, and error bars are two standard errors; the line at 1 is all
+    the light there is. `models`, integrated over the hemisphere, are markers, to be held against the order that they
+    describe. An external measurement has no orders, and error bars only if its errors are known; where it knows a part
+    of the hemisphere only, so does its albedo. Raises ValueError where nothing was measured.
     """
-    measured = measurement.measured
-    if not measured.any():
-        raise ValueError("no incidence of this measurement was measured: nothing to draw")
+    measured = asked_for(measurement, None, phi_i)
     wavelengths, fewer = some_wavelengths(measurement)
     every = np.flatnonzero(measured.any(axis=0))
     # Klems's rings have azimuths of their own; the first one has them all.
     columns = every[:1] if len(every) > 2 * AZIMUTHS else thinned(every, AZIMUTHS)
-    figure = new_figure(4.2 * len(columns) + 2.2, 4.2)
-    panels = figure.subplots(1, len(columns), squeeze=False, sharey=True)[0]
+    if ax is None:
+        figure = new_figure(4.2 * len(columns) + 2.2, 4.2)
+        panels = figure.subplots(1, len(columns), squeeze=False, sharey=True)[0]
+    elif len(columns) == 1:
+        figure, panels = figure_of(ax), np.array([ax])
+    else:
+        raise ValueError(f"ax shows one azimuth, and {len(every)} were measured: choose by phi_i, degrees")
     for panel, column in zip(panels, columns, strict=True):
         _curves(panel, measurement, int(column), wavelengths)
         _models(panel, measurement, int(column), wavelengths, models)
@@ -66,10 +80,13 @@ def albedo(measurement: Measurement, path: PathLike, models: Sequence[Model] = (
     panels[0].set_ylabel("directional albedo", fontsize=10)
     panels[0].set_ylim(0.0, max(1.05, panels[0].get_ylim()[1]))
     handles = _legend(measurement, wavelengths, models)
+    if ax is not None:
+        ax.legend(handles=handles, fontsize=7, framealpha=0.85, handlelength=2.8)
+        return finished(figure, path)
     figure.legend(handles=handles, loc="outside right center", fontsize=9, frameon=False, handlelength=2.8)
     choice = "" if len(columns) == len(every) else f"{len(columns)} of {len(every)} azimuths"
     headline(figure, measurement, "share of the light that is sent back", choice, fewer)
-    return style.save(figure, path)
+    return finished(figure, path)
 
 
 def _curves(panel: Axes, measurement: Measurement, column: int, wavelengths: Sequence[float]) -> None:
@@ -86,7 +103,7 @@ def _curves(panel: Axes, measurement: Measurement, column: int, wavelengths: Seq
 
 
 def _models(
-    panel: Axes, measurement: Measurement, column: int, wavelengths: Sequence[float], models: Sequence[Model]
+    panel: Axes, measurement: Measurement, column: int, wavelengths: Sequence[float], models: Sequence[Model | BRDF]
 ) -> None:
     theta = measurement.dataset["theta_i"].values[measurement.measured[:, column]]
     phi = float(measurement.dataset["phi_i"][column])
@@ -96,10 +113,10 @@ def _models(
             panel.plot(theta, curve, marker, ms=5.5, mfc="none", mec=hue(nm), mew=1.1, zorder=3)
 
 
-def _of_model(model: Model, theta: float, phi: float, wavelengths: Sequence[float]) -> Floats:
+def _of_model(model: Model | BRDF, theta: float, phi: float, wavelengths: Sequence[float]) -> Floats:
     """The albedo of a model (W,)."""
     area = GRID.projected_solid_angles()
-    return np.asarray(area @ model.average(direction(theta, phi), GRID, wavelengths))
+    return np.asarray(area @ predicted(model, direction(theta, phi), GRID, np.asarray(wavelengths)).value)
 
 
 def _axes(panel: Axes, phi: float) -> None:
@@ -113,7 +130,7 @@ def _axes(panel: Axes, phi: float) -> None:
     panel.tick_params(labelsize=9)
 
 
-def _legend(measurement: Measurement, wavelengths: Sequence[float], models: Sequence[Model]) -> list[Artist]:
+def _legend(measurement: Measurement, wavelengths: Sequence[float], models: Sequence[Model | BRDF]) -> list[Artist]:
     from matplotlib.lines import Line2D
 
     handles: list[Artist] = [

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio import appearance
-from gonio.plots.style import INK, PathLike, headline, hits, new_figure, save
+from gonio.plots.style import INK, PathLike, finished, headline, hits, new_figure
 from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
+    from gonio.brdf import BRDF
     from gonio.measurement import Measurement
     from gonio.models import Model
 
@@ -26,16 +26,19 @@ ABREAST = 4
 PLATE = (0.42, 1.0)
 """Height and width of the plate, in spheres."""
 GRAZING = 70.0
-"""Degrees from the normal to the lamp behind the plate."""
+"""Degrees from the normal to the source behind the plate."""
 
 
-def sphere(measurement: Measurement, path: PathLike, models: Sequence[Model] = (), size: int = 440) -> Path:
-    """Draw spheres with the measured BRDF and with `models`, each above a level plate of the same; return the path.
+def sphere(
+    measurement: Measurement, path: PathLike | None = None, *, models: Sequence[Model | BRDF] = (), size: int = 440
+) -> Figure:
+    """Draw spheres with the measured BRDF and with `models`, each above a level plate of the same; a figure.
 
-    All have the same light and the same exposure, and the figure tells both. A sphere is `size` pixels wide. Colours
-    are those of daylight (D65) in sRGB. What the noise of a measurement would make sparkle is averaged over patches,
-    whose radius is told. Models that have no values in single directions are left out and named. Raises ValueError for
-    a measurement without a hemisphere of bins, or whose other azimuths of the light are not known.
+    It is also written into `path`. All have the same light and the same exposure, and the figure tells both. A sphere
+    is `size` pixels wide. Colours are those of daylight (D65) in sRGB. What the noise of a measurement would make
+    sparkle is averaged over patches, whose radius is told. Models that have no values in single directions are left out
+    and named. Raises ValueError for a measurement without a hemisphere of bins, or whose BRDF at other azimuths phi_i
+    is not known.
     """
     smooth, radius = appearance.softened(measurement)
     pictures = [("measured, all orders", *_shaded(smooth, None, size))]
@@ -43,13 +46,13 @@ def sphere(measurement: Measurement, path: PathLike, models: Sequence[Model] = (
     nodes = measurement.wavelengths if measurement.attributes.get("basis", "spectrum") == "spectrum" else None
     missing = []
     for model in models[: ABREAST - 1]:
-        name = type(model).__name__
+        (name,) = names_of([model])
         try:
             pictures.append((f"{name}, {hits(model.order)}", *_shaded(model, nodes, size)))
         except ValueError:
             missing.append(name)
     white = appearance.exposure(*(ball for _, ball, _ in pictures))
-    # The lamp behind the plates is as bright as the measured one's glow needs.
+    # The source behind the plates is as bright as the measured one's glow needs.
     irradiance = white / max(float(np.quantile(pictures[0][2], 0.99)), 1e-12)
     figure = new_figure(3.3 * len(pictures) + (1.7 if len(pictures) == 1 else 0.4), 5.75)
     panels = figure.subplots(2, len(pictures), squeeze=False, height_ratios=(1.0, PLATE[0]))
@@ -63,11 +66,11 @@ def sphere(measurement: Measurement, path: PathLike, models: Sequence[Model] = (
     words = [*_light(white, irradiance), *_left_out(missing, len(models) - (ABREAST - 1))]
     lines = textwrap.wrap(" ".join(words), int(13.5 * figure.get_figwidth()))
     figure.supxlabel("\n".join(lines), fontsize=8.5, color="#6b6b68")
-    return save(figure, path)
+    return finished(figure, path)
 
 
-def _shaded(source: Measurement | Model, wavelengths: Floats | None, size: int) -> tuple[Floats, Floats]:
-    """Radiances of the sphere, and of the plate under a lamp of irradiance 1."""
+def _shaded(source: Measurement | Model | BRDF, wavelengths: Floats | None, size: int) -> tuple[Floats, Floats]:
+    """Radiances of the sphere, and of the plate under a source of irradiance 1."""
     lobes = appearance.coloured(source, wavelengths)
     extent = round(PLATE[0] * size), round(PLATE[1] * size)
     return appearance.sphere(lobes, size), appearance.plate(lobes, extent, GRAZING, irradiance=1.0)
@@ -82,8 +85,8 @@ def _show(panel: Axes, picture: NDArray[np.generic]) -> None:
 def _light(white: float, irradiance: float) -> list[str]:
     """What shines, and how it is exposed."""
     return [
-        f"Above: a sphere under a clear sky and a lamp of irradiance {appearance.IRRADIANCE:g} from the upper left.",
-        f"Below: a level plate seen at 20° to 80° from its normal, against a lamp at {GRAZING:g}° behind it, of "
+        f"Above: a sphere under a clear sky and a source of irradiance {appearance.IRRADIANCE:g} from the upper left.",
+        f"Below: a level plate seen at 20° to 80° from its normal, against a source at {GRAZING:g}° behind it, of "
         f"irradiance {irradiance:.2g}.",
         f"White is radiance {white:.2g}; the sky has up to 1.",
     ]

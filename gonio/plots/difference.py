@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio.plots import style
-from gonio.plots.hemisphere import draw_bins, map_legend, mark_map, new_maps
+from gonio.plots.hemisphere import draw_bins, map_incidences, map_legend, mark_map, new_maps
 from gonio.plots.style import (
     DIFFERENCES,
     INK,
@@ -15,9 +14,10 @@ from gonio.plots.style import (
     SIGMAS,
     PathLike,
     channel_words,
-    choose_incidences,
     colour_bar,
     counts,
+    figure_of,
+    finished,
     has_errors,
     headline,
     hits,
@@ -25,26 +25,37 @@ from gonio.plots.style import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from gonio.comparison import Comparison
     from gonio.measurement import Measurement
 
 
 def difference(
-    measurement: Measurement, comparison: Comparison, path: PathLike, wavelength: float | None = None
-) -> Path:
-    """Draw where a model is above or below what was measured, and below it how sure that is; return the path.
+    measurement: Measurement,
+    comparison: Comparison,
+    path: PathLike | None = None,
+    *,
+    wavelength: float | None = None,
+    theta_i: float | None = None,
+    phi_i: float | None = None,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw where a model is above or below what was measured, and below it how sure that is; a figure.
 
-    Laid out as `hemisphere`. Above, model / measured - 1 in percent; below, model - measured in standard errors of the
-    pool of bins that is judged together: up to 3 may be chance. Red is too much, blue too little; bins that no light
-    reached are hatched. `comparison` is what `compare` found for `measurement`; without errors there is nothing below.
+    It is also written into `path`. Laid out as `hemisphere`, with the same choice of incidences; into `ax`, which must
+    be polar, goes what is above, of a single one. Above, model / measured - 1 in percent; below, model - measured in
+    standard errors of the pool of bins that is judged together: up to 3 may be chance. Red is too much, blue too
+    little; bins with a count of 0 are hatched. `comparison` is what `compare` found for `measurement`; without errors
+    there is nothing below.
     """
     from matplotlib.colors import Normalize
 
-    incidences, choice = choose_incidences(measurement)
+    incidences, choice = map_incidences(measurement, theta_i, phi_i, ax)
     nm = nearest_wavelength(measurement, wavelength)
-    figure, panels = new_maps(2 if has_errors(measurement) else 1, len(incidences))
+    rows = 2 if has_errors(measurement) else 1
+    figure, panels = new_maps(rows, len(incidences)) if ax is None else (figure_of(ax), np.array([[ax]]))
     norms = Normalize(-PERCENT, PERCENT, clip=True), Normalize(-SIGMAS, SIGMAS, clip=True)
     for column, incidence in zip(panels.T, incidences, strict=True):
         here = comparison.lobes.sel(theta_i=incidence.theta, phi_i=incidence.phi, wavelength=nm)
@@ -59,11 +70,13 @@ def difference(
     words = "model / measured - 1 (%)", "model - measured (standard errors)"
     for row, norm, what in zip(panels, norms, words, strict=False):
         colour_bar(figure, row, norm, what, DIFFERENCES)
+    if ax is not None:
+        return finished(figure, path)
     counted = counts(measurement.dataset)
     order = f", {hits(comparison.order)}" if counted else ""
-    blank = "hatched: no hits" if counted else "hatched: nothing is known, or no light"
+    blank = "hatched: count 0" if counted else "hatched: nothing is known, or no light"
     headline(
         figure, measurement, type(comparison.model).__name__, f"{channel_words(measurement, nm)}{order}", blank, choice
     )
     figure.legend(handles=map_legend(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
-    return style.save(figure, path)
+    return finished(figure, path)

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from gonio.comparison import predicted
-from gonio.plots import style
 from gonio.plots.slices import ANGLE, Cut, angle_axis, mark_slice, value_limits
 from gonio.plots.style import (
     FITTED,
     INK,
-    LAMP,
     MARKERS,
-    MIRROR,
     ORDERS,
     PERCENT,
+    SOURCE,
+    SPECULAR,
     STYLES,
     Incidence,
     PathLike,
     channel_words,
+    finished,
     has_errors,
     headline,
     hits,
@@ -36,11 +36,9 @@ from gonio.sphere import direction
 from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import FigureBase
+    from matplotlib.figure import Figure, FigureBase
 
     from gonio.fitting import Fit, Parameter
     from gonio.measurement import Measurement
@@ -53,15 +51,15 @@ FACETS = (0, (4, 2))
 """The line of the specimen's own roughness."""
 
 
-def fits(measurement: Measurement, fits: Sequence[Fit], path: PathLike) -> Path:
-    """Draw fitted models over the measurement that they were fitted to, and their parameters; return the path.
+def fits(measurement: Measurement, fits: Sequence[Fit], path: PathLike | None = None) -> Figure:
+    """Draw fitted models over the measurement that they were fitted to, and their parameters; a figure.
 
-    On the left the BRDF in the plane of incidence as `slices` has it, with error bars of two standard errors, and the
-    models, averaged over the same bins, as curves: up to three of the fitted incidences, at the fitted wavelength
-    nearest to 550 nm, in the order of scattering that was fitted. Below, model / measured - 1. On the right every
-    fitted parameter with its 95 % interval; roughness is held against that of the specimen's facets where it was
-    measured on them, and the residual. Of more than four `fits` the first four are drawn; a ValueError if there
-    are none.
+    It is also written into `path`. On the left the BRDF in the plane of incidence as `slices` has it, with error bars
+    of two standard errors, and the models, averaged over the same bins, as curves: up to three of the fitted
+    incidences, at the fitted wavelength nearest to 550 nm, in the order of scattering that was fitted. Below, model /
+    measured - 1. On the right every fitted parameter with its 95 % interval; roughness is held against that of the
+    specimen's facets where it was measured on them, and the residual. Of more than four `fits` the first four are
+    drawn; a ValueError if there are none.
     """
     if not fits:
         raise ValueError("there are no fits to draw")
@@ -79,7 +77,7 @@ def fits(measurement: Measurement, fits: Sequence[Fit], path: PathLike) -> Path:
     handles = _legend(measurement, slices[0], looks, any(p.facets for fit in fits for p in fit.parameters))
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=9, frameon=False, handlelength=2.8)
     headline(figure, measurement, _told(measurement, fits, nm), choice, fewer)
-    return style.save(figure, path)
+    return finished(figure, path)
 
 
 class _Look(NamedTuple):
@@ -119,11 +117,11 @@ def _told(measurement: Measurement, fits: Sequence[Fit], nm: float) -> str:
     told = [f"{_listed(some)} fitted to {_light(measurement, order)}" for order, some in alike.items()]
     polar = sorted({theta for found in fits for theta, _ in found.incidences})
     channels = list(dict.fromkeys(name for found in fits for name in found.channels))
-    lamp = f"lamp at {_listed([f'{theta:g}°' for theta in polar]) if len(polar) < 7 else f'{len(polar)} angles'}"
+    angles = _listed([f"{theta:g}°" for theta in polar]) if len(polar) < 7 else f"{len(polar)} angles"
     seen = _listed([name.removesuffix(" nm") for name in channels]) + " nm" * channels[0].endswith(" nm")
     seen = seen if len(channels) < 7 else f"{len(channels)} wavelengths"
     drawn = f"drawn: {channel_words(measurement, nm)}" if len(channels) > 1 else ""
-    return "; ".join(part for part in (*told, lamp, seen, drawn) if part)
+    return "; ".join(part for part in (*told, f"incident at {angles}", seen, drawn) if part)
 
 
 def _light(measurement: Measurement, order: str) -> str:
@@ -147,7 +145,7 @@ class _Slice:
     angle: Floats
     """(n,) signed theta_o, degrees"""
     measured: dict[str, tuple[Floats, Floats]]
-    """By order: values (n,) in 1/sr, NaN where hits are too few, and their standard errors."""
+    """By order: values (n,) in 1/sr, NaN where the count is too small, and their standard errors."""
     models: list[tuple[str, Floats]]
     """Of every fit its order and its values (n,) in 1/sr."""
 
@@ -308,6 +306,6 @@ def _legend(measurement: Measurement, one: _Slice, looks: Sequence[_Look], facet
     ]
     if facets:
         handles.append(Line2D([], [], color=INK, ls=FACETS, lw=1.1, label="roughness of the facets"))
-    handles.append(Line2D([], [], marker="v", color=LAMP, ls="none", ms=8, label="lamp"))
-    handles.append(Line2D([], [], marker="^", color=MIRROR, ls="none", ms=8, label="mirror direction"))
+    handles.append(Line2D([], [], marker="v", color=SOURCE, ls="none", ms=8, label="incident direction"))
+    handles.append(Line2D([], [], marker="^", color=SPECULAR, ls="none", ms=8, label="specular direction"))
     return handles

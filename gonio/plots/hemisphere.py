@@ -10,32 +10,33 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gonio.detectors import Klems
-from gonio.plots import patches, style
+from gonio.plots import patches
 from gonio.plots.style import (
     COLOURS,
     ERRORS,
     INK,
-    LAMP,
-    MIRROR,
+    SOURCE,
     SPARSE,
+    SPECULAR,
     Incidence,
     PathLike,
     channel_words,
     choose_incidences,
     colour_bar,
     counts,
+    figure_of,
+    finished,
     has_errors,
     has_hemisphere,
     headline,
     log_norm,
     nearest_wavelength,
     new_figure,
+    the_incidence,
 )
 from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import xarray as xr
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
@@ -51,22 +52,32 @@ DEEPEST = 100.0
 """No contour is at less than the highest value over this: there is little but noise."""
 
 
-def hemisphere(measurement: Measurement, path: PathLike, wavelength: float | None = None) -> Path:
-    """Draw the BRDF over the hemisphere and below it its relative standard error, and return the path.
+def hemisphere(
+    measurement: Measurement,
+    path: PathLike | None = None,
+    *,
+    wavelength: float | None = None,
+    theta_i: float | None = None,
+    phi_i: float | None = None,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw the BRDF over the hemisphere and below it its relative standard error; a figure, also written into `path`.
 
-    One column an incidence. The hemisphere is seen from above as a disc of equal areas, in which equal solid angles are
-    equally large; the lamp's side is on the left and dphi runs counter-clockwise. Colours are logarithmic; contours,
-    of averages over patches of about 3 degrees, are marked on the colour bar. Bins that no light reached, and in the
-    lower row bins with fewer than 10 hits, are hatched. `wavelength` (nm; the nearest measured one) is 550 nm unless
-    told. Apertures are drawn as discs, Klems's patches as they are; of many azimuths of the light the first is shown.
-    A measurement that comes from elsewhere has the lower row only if its errors are known.
+    A column an incidence, of all measured ones or of those at `theta_i` and `phi_i`, degrees; the BRDF of a single one
+    into `ax`, which must be polar. The hemisphere is seen from above as a disc of equal areas, in which equal solid
+    angles are equally large; the incident direction, a triangle that points down, is on the left, the specular one, a
+    triangle that points up, on the right, and dphi runs counter-clockwise. Colours are logarithmic; contours,
+    of averages over patches of about 3 degrees, are marked on the colour bar. Bins with a count of 0, and in
+    the lower row of less than 10, are hatched. `wavelength` (nm; the nearest measured one) is 550 nm unless
+    told. Apertures are drawn as discs, Klems's patches as they are; of many azimuths phi_i the first is shown. An
+    external measurement has the lower row only if its errors are known. Raises ValueError where nothing was measured.
     """
-    incidences, choice = choose_incidences(measurement)
+    incidences, choice = map_incidences(measurement, theta_i, phi_i, ax)
     nm = nearest_wavelength(measurement, wavelength)
     maps = [_Map.of(incidence.data, nm) for incidence in incidences]
     rows = 2 if has_errors(measurement) else 1
     kinds = list(zip(_map_norms(maps), (COLOURS, ERRORS), ("BRDF (sr⁻¹)", "relative standard error (%)"), strict=True))
-    figure, panels = new_maps(rows, len(maps))
+    figure, panels = new_maps(rows, len(maps)) if ax is None else (figure_of(ax), np.array([[ax]]))
     for column, incidence, shown in zip(panels.T, incidences, maps, strict=True):
         for panel, values, (norm, colours, _) in zip(column, (shown.value, shown.error), kinds, strict=False):
             draw_bins(panel, incidence, measurement.detector, values, norm, colours)
@@ -78,11 +89,13 @@ def hemisphere(measurement: Measurement, path: PathLike, wavelength: float | Non
     ]
     if has_hemisphere(measurement):
         _contours(panels[0], incidences, nm, kinds[0][0], bars[0])
+    if ax is not None:
+        return finished(figure, path)
     headline(
         figure, measurement, f"{channel_words(measurement, nm)}{_order(measurement)}", _blanks(measurement), choice
     )
     figure.legend(handles=map_legend(), loc="outside lower center", ncols=2, fontsize=9, frameon=False)
-    return style.save(figure, path)
+    return finished(figure, path)
 
 
 def _order(measurement: Measurement) -> str:
@@ -93,8 +106,19 @@ def _blanks(measurement: Measurement) -> str:
     """What bins without a colour mean."""
     blank = "hatched" if has_hemisphere(measurement) or isinstance(measurement.detector, Klems) else "white"
     if counts(measurement.dataset):
-        return f"{blank} above: no hits, below: fewer than {SPARSE}"
+        return f"{blank} above: count 0, below: count under {SPARSE}"
     return f"{blank}: nothing is known, or no light"
+
+
+def map_incidences(
+    measurement: Measurement, theta_i: float | None, phi_i: float | None, ax: Axes | None
+) -> tuple[list[Incidence], str]:
+    """What maps show and words about the choice; a single incidence if it is for polar axes of the caller's."""
+    if ax is None:
+        return choose_incidences(measurement, theta_i=theta_i, phi_i=phi_i)
+    if ax.name != "polar":
+        raise ValueError(f'ax has the projection "{ax.name}": make it with subplot_kw={{"projection": "polar"}}')
+    return [the_incidence(measurement, theta_i, phi_i)], ""
 
 
 def on_disc(theta: ArrayLike) -> Floats:
@@ -208,7 +232,7 @@ def _draw_apertures(
 
 
 def mark_map(panel: Any, incidence: Incidence) -> None:
-    """Orientation, rings, the hatching of the ground, the lamp and the mirror direction."""
+    """Orientation, rings, the hatching of the ground, the incident and the specular direction."""
     from matplotlib.patheffects import withStroke
 
     panel.set_theta_zero_location("W")
@@ -221,12 +245,12 @@ def mark_map(panel: Any, incidence: Incidence) -> None:
     panel.tick_params(axis="x", pad=0)
     panel.grid(color="black", lw=0.4, alpha=0.35)
     panel.patch.set(facecolor="#e6e6e6", hatch="////", edgecolor="#b0b0b0")
-    # Hollow, so that the one bin of a mirror shows.
+    # Hollow, so that the one bin of a smooth surface shows.
     marker = {"mfc": "none", "mew": 1.6, "clip_on": False, "zorder": 6}
     halo = [withStroke(linewidth=3.2, foreground="white")]
     radius = float(on_disc(incidence.theta))
-    panel.plot(0.0, radius, "v", mec=LAMP, ms=10, path_effects=halo, **marker)
-    panel.plot(np.pi, radius, "^", mec=MIRROR, ms=10, path_effects=halo, **marker)
+    panel.plot(0.0, radius, "v", mec=SOURCE, ms=10, path_effects=halo, **marker)
+    panel.plot(np.pi, radius, "^", mec=SPECULAR, ms=10, path_effects=halo, **marker)
 
 
 def map_legend() -> list[Artist]:
@@ -235,6 +259,6 @@ def map_legend() -> list[Artist]:
 
     hollow: dict[str, Any] = {"mfc": "none", "mew": 1.6, "ls": "none", "ms": 9}
     return [
-        Line2D([], [], marker="v", mec=LAMP, label="lamp (dphi = 0°)", **hollow),
-        Line2D([], [], marker="^", mec=MIRROR, label="mirror direction (dphi = 180°)", **hollow),
+        Line2D([], [], marker="v", mec=SOURCE, label="incident direction (dphi = 0°)", **hollow),
+        Line2D([], [], marker="^", mec=SPECULAR, label="specular direction (dphi = 180°)", **hollow),
     ]

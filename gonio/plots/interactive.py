@@ -115,11 +115,11 @@ def _line(go: Any, points: Floats, colour: str, thick: float, **more: Any) -> An
 
 
 def _arrows(go: Any, incidence: Incidence) -> list[Any]:
-    """The lamp's and the mirror's direction, with their names."""
+    """The incident and the specular direction, with their names."""
     lines = []
-    for (tail, head, colour), name in zip(arrows(incidence), ("lamp", "mirror"), strict=True):
-        ends = np.stack([tail, head] if name == "mirror" else [head, tail])
-        side = "middle left" if name == "lamp" else "middle right"
+    for (tail, head, colour), name in zip(arrows(incidence), ("incident", "specular"), strict=True):
+        ends = np.stack([tail, head] if name == "specular" else [head, tail])
+        side = "middle left" if name == "incident" else "middle right"
         words = {
             "mode": "lines+text",
             "text": ["", name],
@@ -156,7 +156,7 @@ def _head(measurement: Measurement, *parts: str) -> str:
 
 
 def _layout(heads: Sequence[str], steps: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Head, camera with the lamp on the left, slider; it begins with the incidence in the middle."""
+    """Head, camera with the incident direction on the left, slider; it begins with the incidence in the middle."""
     middle = len(heads) // 2
     hidden = {"visible": False, "range": [-1.45, 1.45]}
     slider = {"steps": steps, "active": middle, "pad": {"t": 10}}

@@ -1,7 +1,7 @@
 """The scene in which lobes stand: plane, guides, arrows and words around them, drawn by VTK or by matplotlib.
 
-The viewer looks from the side with the lamp on the left; coordinates are those in which the lamp is at azimuth 0, in
-units of the outer arc.
+The viewer looks from the side with the incident direction on the left; coordinates are those in which that direction is
+at azimuth 0, in units of the outer arc.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gonio.plots import style
 from gonio.plots.patches import DPHI, THETA
-from gonio.plots.style import COLOURS, INK, LAMP, MIRROR, PAPER, Incidence
+from gonio.plots.style import COLOURS, INK, PAPER, SOURCE, SPECULAR, Incidence
 from gonio.plots.surface_view import require_screen
 from gonio.sphere import direction, rotate_z
 from microsurfaces.arrays import Floats
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from microsurfaces import HeightField
 
 CAMERA = direction(66.0, 112.0)
-"""Toward the viewer: the lamp is on the left."""
+"""Toward the viewer: the incident direction is on the left."""
 RIGHT = np.cross((0.0, 0.0, 1.0), CAMERA) / np.linalg.norm(np.cross((0.0, 0.0, 1.0), CAMERA))
 UP = np.cross(CAMERA, RIGHT)
 WINDOW = (-1.5, 1.5, -0.56, 1.5)
@@ -144,7 +144,7 @@ class Ground:
         return cls(points, f"relief under the lobe {width:.3g} µm wide, true to scale")
 
     def turned(self, phi: float) -> Floats:
-        """The points where the lamp's azimuth `phi` is 0."""
+        """The points where the azimuth `phi` of the incident direction is 0."""
         return rotate_z(self.points, -phi)
 
 
@@ -181,11 +181,14 @@ def surface(shell: Shell, scale: Scale) -> tuple[Floats, NDArray[np.int64], Floa
 
 
 def arrows(incidence: Incidence) -> list[tuple[Floats, Floats, str]]:
-    """(tail, head, colour) of the lamp's and the mirror's arrow outside the lobe."""
-    lamp, mirror = direction(incidence.theta, 0.0), direction(incidence.theta, 180.0)
+    """(tail, head, colour) of the arrows of the incident and the specular direction, outside the lobe."""
+    wi, specular = direction(incidence.theta, 0.0), direction(incidence.theta, 180.0)
     # At normal incidence the two would hide each other.
     aside = np.array([0.05, 0.0, 0.0]) if incidence.theta < 4 else np.zeros(3)
-    return [(1.36 * lamp + aside, 1.06 * lamp + aside, LAMP), (1.06 * mirror - aside, 1.36 * mirror - aside, MIRROR)]
+    return [
+        (1.36 * wi + aside, 1.06 * wi + aside, SOURCE),
+        (1.06 * specular - aside, 1.36 * specular - aside, SPECULAR),
+    ]
 
 
 def _guides(view: View) -> list[tuple[Floats, str]]:
@@ -197,7 +200,7 @@ def _guides(view: View) -> list[tuple[Floats, str]]:
     rays = [
         (np.outer((0.0, 1.0), direction(incidence.theta, phi)), colour)
         for incidence in view.incidences
-        for phi, colour in ((0.0, LAMP), (180.0, MIRROR))
+        for phi, colour in ((0.0, SOURCE), (180.0, SPECULAR))
     ]
     azimuth = view.incidences[0].phi
     axes = [(np.outer((0.0, 1.0), direction(90.0, phi - azimuth)), "#b9b9b4") for phi in (0, 90, 180, 270)]
@@ -245,7 +248,7 @@ def _name(plotter: Any, incidence: Incidence) -> None:
     """Words at the ends of the arrows, which turn with them."""
     apart = np.array([0.2, 0.0, 0.0]) if incidence.theta < 20 else np.zeros(3)
     look: Any = {"shape": None, "show_points": False, "always_visible": True, "font_size": 14, "bold": False}
-    for phi, side, name, colour in ((0.0, 1, "lamp", LAMP), (180.0, -1, "mirror", MIRROR)):
+    for phi, side, name, colour in ((0.0, 1, "incident", SOURCE), (180.0, -1, "specular", SPECULAR)):
         place = 1.45 * direction(incidence.theta, phi) + side * apart
         plotter.add_point_labels(place[None], [name], text_color=colour, justification_horizontal="center", **look)
 
@@ -268,10 +271,10 @@ def _label(panel: Axes, view: View) -> None:
     panel.set_title(view.title, fontsize=11, color=INK, y=0.97)
     # Of several incidences the last one's arrows have the names: they are farthest apart.
     incidence = view.incidences[-1]
-    lamp, mirror = direction(incidence.theta, 0.0), direction(incidence.theta, 180.0)
+    wi, specular = direction(incidence.theta, 0.0), direction(incidence.theta, 180.0)
     apart = np.array([0.14, 0.0, 0.06]) if incidence.theta < 20 else np.array([0.0, 0.0, 0.1])
-    write(1.40 * lamp + apart, "lamp", LAMP, 10, "right" if incidence.theta < 20 else "center")
-    write(1.40 * mirror + apart * (-1, 1, 1), "mirror", MIRROR, 10, "left" if incidence.theta < 20 else "center")
+    write(1.40 * wi + apart, "incident", SOURCE, 10, "right" if incidence.theta < 20 else "center")
+    write(1.40 * specular + apart * (-1, 1, 1), "specular", SPECULAR, 10, "left" if incidence.theta < 20 else "center")
     for theta in (-60, -30, 30, 60):
         if all(abs(abs(theta) - each.theta) > 7 for each in view.incidences):
             before, at, after = _on_screen(direction(np.array([theta - 1.0, theta, theta + 1.0]), 180.0))

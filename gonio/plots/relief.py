@@ -11,21 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio.plots.paths import Profile, body, name, round_length, stretch
-from gonio.plots.style import COLOURS, INK, MIRROR, PAPER, new_figure, save
+from gonio.plots.section import body, name, round_length, stretch
+from gonio.plots.style import COLOURS, INK, PAPER, SPECULAR, finished, new_figure
+from gonio.transport.profile import Profile
 from microsurfaces import Cylinders, Gaussian, HeightField, Mesh, VGrooves
 from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from gonio.plots.style import PathLike
     from microsurfaces import Statistics, Surface
 
-ALONG = (MIRROR, "#cc6677")
+ALONG = (SPECULAR, "#cc6677")
 """Colours of what is measured along x and along y."""
 SHOWN = 24.0
 """Correlation lengths along a side of the shaded relief."""
@@ -37,8 +36,8 @@ BANDS = 40
 """Rings of wave numbers over which the spectrum is averaged."""
 
 
-def relief(surface: Surface | HeightField | Mesh, path: PathLike, seed: int = 0) -> Path:
-    """Draw what a microsurface is like and return the path.
+def relief(surface: Surface | HeightField | Mesh, path: PathLike | None = None, *, seed: int = 0) -> Figure:
+    """Draw what a microsurface is like; a figure, also written into `path`.
 
     `surface` is a recipe, built with `seed`, or what one has built. A height field is shown as a shaded relief with its
     heights in colour, the densities of its facets' slopes along x and y, its autocorrelation, its power spectral
@@ -51,7 +50,7 @@ def relief(surface: Surface | HeightField | Mesh, path: PathLike, seed: int = 0)
     draw: Callable[[Figure, Any, Any], None] = _draw_mesh if isinstance(built, Mesh) else _draw_field
     draw(figure, surface, built)
     figure.suptitle(f"{name(surface)}\n{summary(built.statistics())}", fontsize=13, color=INK)
-    return save(figure, path)
+    return finished(figure, path)
 
 
 def summary(statistics: Statistics) -> str:

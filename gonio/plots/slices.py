@@ -9,19 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.plots import style
+from gonio.comparison import predicted
 from gonio.plots.style import (
     DECADES,
     INK,
-    LAMP,
     MARKERS,
-    MIRROR,
+    SOURCE,
     SPARSE,
+    SPECULAR,
     Incidence,
     PathLike,
     channel,
     choose_incidences,
     counts,
+    figure_of,
+    finished,
     has_errors,
     has_hemisphere,
     headline,
@@ -32,58 +34,80 @@ from gonio.plots.style import (
     new_figure,
     order_lines,
     some_wavelengths,
+    the_incidence,
 )
 from gonio.sphere import direction
 from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import xarray as xr
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from scipy.sparse import csr_array
 
+    from gonio.brdf import BRDF
     from gonio.detectors import Detector
     from gonio.measurement import Measurement
     from gonio.models import Model
 
 BAND = 1.0
 """Degrees of arc on either side of the plane of incidence that a slice averages over."""
-ANGLE = "$\\theta_o$ (degrees), lamp's side < 0 < mirror's"
+ANGLE = "$\\theta_o$ (degrees), incident side < 0 < specular side"
 """Words of the axis of a slice."""
 
 
-def slices(measurement: Measurement, path: PathLike, models: Sequence[Model] = ()) -> Path:
-    """Draw the BRDF in the plane of incidence against the signed angle theta_o and return the path.
+def slices(
+    measurement: Measurement,
+    path: PathLike | None = None,
+    *,
+    models: Sequence[Model | BRDF] = (),
+    theta_i: float | None = None,
+    phi_i: float | None = None,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw the BRDF in the plane of incidence against the signed angle theta_o; a figure, also written into `path`.
 
-    The mirror's side is positive. Every value is the average over the bins within about 1 degree of arc from the plane,
-    with a band of two standard errors: Monte-Carlo noise of the bins is taken as independent, realisation noise as
-    common to all of them. Wavelengths have their colours, orders of scattering their line styles; `models`, averaged
-    over the same bins, are markers, to be held against order 1. Apertures within their own half angle of the plane are
-    points with error bars of two standard errors. A measurement that comes from elsewhere has no orders, and bands only
-    if its errors are known.
+    A panel an incidence, of all measured ones or of those at `theta_i` and `phi_i`, degrees; of a single one into `ax`.
+    The side of the specular direction is positive. Every value is the average over the bins within about 1 degree of
+    arc from the plane, with a band of two standard errors: Monte-Carlo noise of the bins is taken as independent,
+    realisation noise as common to all of them. Wavelengths have their colours, orders of scattering their line styles;
+    `models`, averaged over the same bins, are markers, to be held against order 1. Apertures within their own half
+    angle of the plane are points with error bars of two standard errors. An external measurement has no orders, and
+    bands only if its errors are known. Raises ValueError where nothing was measured.
     """
-    incidences, choice = choose_incidences(measurement)
+    if ax is None:
+        incidences, choice = choose_incidences(measurement, theta_i=theta_i, phi_i=phi_i)
+    else:
+        incidences, choice = [the_incidence(measurement, theta_i, phi_i)], ""
     wavelengths, fewer = some_wavelengths(measurement)
     cuts = [Cut.of(measurement, incidence) for incidence in incidences]
-    rows, columns = layout(len(incidences), incidences)
-    figure = new_figure(4.2 * columns + 2.0, 3.2 * rows + 0.9)
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    figure, panels = _new_panels(incidences) if ax is None else (figure_of(ax), np.array([[ax]]))
     draw = _curves if has_hemisphere(measurement) else _points
     for panel, incidence, cut in zip(panels.flat, incidences, cuts, strict=False):
         draw(panel, incidence, cut, wavelengths)
         for k, model in enumerate(models[: len(MARKERS)]):
-            values = model.average(direction(incidence.theta, incidence.phi), measurement.detector, wavelengths)
+            wi = direction(incidence.theta, incidence.phi)
+            values = predicted(model, wi, measurement.detector, np.asarray(wavelengths)).value
             _model_points(panel, cut, values, wavelengths, MARKERS[k], k / len(models))
         mark_slice(panel, incidence)
     _slice_axes(panels, incidences, cuts)
     handles = _slice_legend(measurement, wavelengths, models)
+    if ax is not None:
+        ax.legend(handles=handles, fontsize=7, framealpha=0.85, handlelength=2.8)
+        return finished(figure, path)
     figure.legend(handles=handles, loc="outside right center", fontsize=9, frameon=False, handlelength=2.8)
     told = has_hemisphere(measurement) and counts(measurement.dataset)
-    sparse = f"drawn where there are at least {SPARSE} hits" if told else ""
+    sparse = f"drawn where the count is {SPARSE} or more" if told else ""
     headline(figure, measurement, "BRDF in the plane of incidence", sparse, choice, fewer)
-    return style.save(figure, path)
+    return finished(figure, path)
+
+
+def _new_panels(incidences: Sequence[Incidence]) -> tuple[Figure, Any]:
+    """A figure, and its panels (rows, columns)."""
+    rows, columns = layout(len(incidences), incidences)
+    figure = new_figure(4.2 * columns + 2.0, 3.2 * rows + 0.9)
+    return figure, figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +115,7 @@ class Cut:
     """The bins that lie in a plane of incidence."""
 
     angle: Floats
-    """(n,) signed theta_o in degrees, increasing; the mirror's side is positive."""
+    """(n,) signed theta_o in degrees, increasing; positive on the specular side."""
     weights: csr_array
     """(n, bins) share of each bin in the average at an angle."""
 
@@ -132,14 +156,14 @@ class Cut:
         return csr_array(kept)
 
     def enough(self, data: xr.Dataset, order: str) -> NDArray[np.bool_]:
-        """Whether each average (n,) rests on `SPARSE` hits at least; all do where nobody counted."""
+        """Whether the count of each average (n,) is `SPARSE` at least; all are taken where nobody counted."""
         if not counts(data):
             return np.ones(len(self.angle), bool)
         return np.asarray(self.weights.sign() @ data["count"].sel(order=order).values.ravel() >= SPARSE)
 
 
 def _sectors_in_plane(incidence: Incidence, _: Detector) -> Iterator[tuple[float, NDArray[np.intp]]]:
-    """Signed angle and bins of every ring on the lamp's and on the mirror's side."""
+    """Signed angle and bins of every ring on the incident and on the specular side."""
     theta, dphi = incidence.data["theta_o"].values, incidence.data["dphi"].values
     sectors = len(dphi)
     for ring, t in enumerate(theta):
@@ -173,7 +197,7 @@ def _curves(panel: Axes, incidence: Incidence, cut: Cut, wavelengths: Sequence[f
 
 
 def _alone(value: Floats) -> Floats:
-    """`value` where it has no neighbour to draw a line to, else NaN: the one bin of a mirror."""
+    """`value` where it has no neighbour to draw a line to, else NaN: the one bin of a smooth surface."""
     known = np.pad(np.isfinite(value), 1)
     return np.where(known[:-2] | known[2:], np.nan, value)
 
@@ -199,9 +223,9 @@ def _model_points(
 
 
 def mark_slice(panel: Axes, incidence: Incidence) -> None:
-    """The lamp on the upper edge, the mirror direction on the lower, and the panel's title."""
+    """The incident direction on the upper edge, the specular one on the lower, and the panel's title."""
     edge = panel.get_xaxis_transform()
-    for angle, at, marker, colour in ((-incidence.theta, 1.0, "v", LAMP), (incidence.theta, 0.0, "^", MIRROR)):
+    for angle, at, marker, colour in ((-incidence.theta, 1.0, "v", SOURCE), (incidence.theta, 0.0, "^", SPECULAR)):
         panel.axvline(angle, color=colour, lw=0.8, alpha=0.6, zorder=0)
         panel.plot(angle, at, marker=marker, color=colour, transform=edge, clip_on=False, ms=8, zorder=5)
     panel.set_title(incidence.words, fontsize=11, color=INK, pad=9)
@@ -248,7 +272,9 @@ def value_limits(values: Iterable[Floats]) -> tuple[float, float]:
     return min(max(float(positive.min(initial=high)) / 2, high / 10**DECADES), high / 10), high
 
 
-def _slice_legend(measurement: Measurement, wavelengths: Sequence[float], models: Sequence[Model]) -> list[Artist]:
+def _slice_legend(
+    measurement: Measurement, wavelengths: Sequence[float], models: Sequence[Model | BRDF]
+) -> list[Artist]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -263,6 +289,6 @@ def _slice_legend(measurement: Measurement, wavelengths: Sequence[float], models
     point: dict[str, Any] = {"color": INK, "mfc": "white", "ls": "none", "ms": 5}
     for model, name, marker in zip(models, names_of(models), MARKERS, strict=False):
         handles.append(Line2D([], [], marker=marker, label=f"{name} ({hits(model.order)})", **point))
-    handles.append(Line2D([], [], marker="v", color=LAMP, ls="none", ms=8, label="lamp"))
-    handles.append(Line2D([], [], marker="^", color=MIRROR, ls="none", ms=8, label="mirror direction"))
+    handles.append(Line2D([], [], marker="v", color=SOURCE, ls="none", ms=8, label="incident direction"))
+    handles.append(Line2D([], [], marker="^", color=SPECULAR, ls="none", ms=8, label="specular direction"))
     return handles

@@ -1,7 +1,7 @@
 """What every figure shares: the palette, the choice of what is shown, heads, colour bars, saving.
 
-matplotlib is used through `Figure` objects and never through pyplot, so nothing global changes and no window opens.
-Files appear whole or not at all.
+matplotlib is used through `Figure` objects and never through pyplot, so nothing global changes, no window opens and no
+figure stays open. Files appear whole or not at all.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.colorbar import Colorbar
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
@@ -36,14 +37,14 @@ PathLike = str | os.PathLike[str]
 
 PANELS = 6
 """At most so many incidences share a figure."""
-LAMP, MIRROR, INK, PAPER = "#d98200", "#0072b2", "#333333", "#e9e9e6"
-"""The lamp, the mirror direction, lines and letters, the sample's plane: the same colours in every figure."""
+SOURCE, SPECULAR, INK, PAPER = "#d98200", "#0072b2", "#333333", "#e9e9e6"
+"""Incident and specular direction, lines and letters, the sample's plane: the same colours in every figure."""
 COLOURS, ERRORS, DIFFERENCES = "viridis", "magma", "RdBu_r"
 """Colour maps of values, of their errors and of differences."""
 PERCENT, SIGMAS = 50.0, 6.0
 """Largest differences that a map tells apart: in percent, and in standard errors."""
 SPARSE = 10
-"""Fewer hits than this say little; such bins are hatched where errors are shown."""
+"""Bins with a smaller count than this are hatched where errors are shown."""
 DECADES = 4
 """At most so many decades are shown."""
 CURVES = 5
@@ -52,7 +53,7 @@ STYLES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.2, 1.4)), (0, (6, 2, 1.2, 2)
 """Lines of all orders together and of the first few numbers of hits."""
 MARKERS = "osD^vP"
 """Of the first few models."""
-ORDERS = {"all": "#8a8a86", "1": MIRROR, "2": "#009e73"}
+ORDERS = {"all": "#8a8a86", "1": SPECULAR, "2": "#009e73"}
 """Numbers of hits, where they are told apart by colours."""
 MORE = "#cc79a7"
 """And still more hits."""
@@ -74,14 +75,15 @@ class Incidence:
         return f"$\\theta_i$ = {self.theta:g}°, $\\phi_i$ = {self.phi:g}°"
 
 
-def choose_incidences(measurement: Measurement, panels: int = PANELS) -> tuple[list[Incidence], str]:
+def choose_incidences(
+    measurement: Measurement, panels: int = PANELS, theta_i: float | None = None, phi_i: float | None = None
+) -> tuple[list[Incidence], str]:
     """At most so many measured incidences, by azimuth and polar angle, and words that say how many there are.
 
-    Azimuths share the panels evenly; where there are too many of them, the first alone is shown.
+    Azimuths share the panels evenly; where there are too many of them, the first alone is shown. `theta_i` and `phi_i`,
+    degrees, leave only the incidences at these measured angles. Raises ValueError if none is left.
     """
-    measured = measurement.measured
-    if not measured.any():
-        raise ValueError("no incidence of this measurement was measured: nothing to draw")
+    measured = asked_for(measurement, theta_i, phi_i)
     azimuths = np.flatnonzero(measured.any(axis=0))
     many, whole = len(azimuths) > panels // 2, int(measured.sum())
     if many and whole > panels:
@@ -90,6 +92,34 @@ def choose_incidences(measurement: Measurement, panels: int = PANELS) -> tuple[l
     chosen = [(i, j) for j in azimuths for i in thinned(np.flatnonzero(measured[:, j]), each)]
     words = "" if len(chosen) == whole else f"{len(chosen)} of {whole} incidences"
     return [incidence_at(measurement, int(i), int(j)) for i, j in chosen], words
+
+
+def asked_for(measurement: Measurement, theta_i: float | None, phi_i: float | None) -> NDArray[np.bool_]:
+    """Which incidences (theta_i, phi_i) were measured, of those at the angles that are asked for."""
+    if not measurement.measured.any():
+        raise ValueError("no incidence of this measurement was measured: nothing to draw")
+    kept = measurement.measured.copy()
+    for axis, (name, angle) in enumerate({"theta_i": theta_i, "phi_i": phi_i}.items()):
+        if angle is None:
+            continue
+        here = np.isclose(measurement.dataset[name].values, angle, rtol=0.0, atol=1e-6)
+        kept &= here[:, None] if axis == 0 else here
+        if not kept.any():
+            known = measurement.dataset[name].values[measurement.measured.any(axis=1 - axis)]
+            listed = ", ".join(f"{value:g}" for value in known)
+            raise ValueError(f"{name} = {angle:g} was not measured: choose one of {listed} degrees")
+    return kept
+
+
+def the_incidence(measurement: Measurement, theta_i: float | None, phi_i: float | None) -> Incidence:
+    """The one incidence that is drawn into axes of the caller's; ValueError if several could be meant."""
+    kept = asked_for(measurement, theta_i, phi_i)
+    if kept.sum() > 1:
+        raise ValueError(
+            f"ax shows one incidence, and {kept.sum()} were measured: choose by theta_i and phi_i, degrees"
+        )
+    ((i, j),) = np.argwhere(kept)
+    return incidence_at(measurement, int(i), int(j))
 
 
 def incidence_at(measurement: Measurement, i: int, j: int) -> Incidence:
@@ -122,7 +152,7 @@ def channel_words(measurement: Measurement, nm: float) -> str:
 
 
 def counts(data: xr.Dataset) -> bool:
-    """Whether hits were counted; they are not in a measurement that comes from elsewhere."""
+    """Whether arrivals were counted; they are not in an external measurement."""
     return "count" in data
 
 
@@ -156,21 +186,23 @@ def headline(figure: Figure, measurement: Measurement, *parts: str) -> None:
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of so many inches, 150 dots each."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=150)
+    from gonio.plots.notebook import NotebookFigure
+
+    figure = NotebookFigure(figsize=(width, height), dpi=150, facecolor="white")
     FigureCanvasAgg(figure)
     figure.set_layout_engine("constrained", h_pad=0.07, w_pad=0.05)
     return figure
 
 
-def check_path(path: Path, more: Sequence[str] = ()) -> None:
-    """Raise ValueError for a suffix that neither matplotlib nor `more` knows, FileNotFoundError without a folder."""
+def check_path(path: Path, suffixes: Sequence[str] = ()) -> None:
+    """Raise ValueError for a suffix that is not one of matplotlib's, or of these; FileNotFoundError without a
+    folder."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    known = (*(f".{name}" for name in FigureCanvasAgg.get_supported_filetypes()), *more)
+    known = suffixes or [f".{name}" for name in FigureCanvasAgg.get_supported_filetypes()]
     if path.suffix.lower() not in known:
-        raise ValueError(f"cannot draw into {str(path)!r}: the suffixes are {', '.join(dict.fromkeys(known))}")
+        raise ValueError(f"cannot draw into {str(path)!r}: the suffixes are {', '.join(known)}")
     if not path.absolute().parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path.parent))
 
@@ -180,8 +212,23 @@ def save(figure: Figure, path: PathLike) -> Path:
     path = Path(path)
     check_path(path)
     with atomic_write(path) as temporary:
-        figure.savefig(temporary, facecolor="white")
+        figure.savefig(temporary)
     return path
+
+
+def finished(figure: Figure, path: PathLike | None) -> Figure:
+    """The figure, which is also written into `path` if there is one."""
+    if path is not None:
+        save(figure, path)
+    return figure
+
+
+def figure_of(ax: Axes) -> Figure:
+    """The whole figure that axes belong to, also if they stand in a part of it."""
+    from matplotlib.figure import Figure
+
+    figure = ax.figure
+    return figure if isinstance(figure, Figure) else figure.figure
 
 
 def colour_bar(figure: Figure, panels: Any, norm: Normalize, words: str, colours: str = COLOURS) -> Colorbar:
@@ -219,9 +266,9 @@ def hue(nm: float) -> tuple[float, float, float]:
     return r, g, b
 
 
-def names_of(models: Sequence[Model]) -> list[str]:
+def names_of(models: Sequence[Model | BRDF]) -> list[str]:
     """What models are called in a legend: their classes; where these are equal with what differs, or with numbers."""
-    classes = [type(model).__name__ for model in models]
+    classes = [model.title if isinstance(model, BRDF) else type(model).__name__ for model in models]
     names = list(classes)
     for part in ("distribution", "masking"):
         kinds = [type(getattr(model, part, None)).__name__ for model in models]

@@ -23,7 +23,7 @@ def require_screen() -> None:
         raise RuntimeError("there is no GL library to draw with: install libegl1 and libgl1-mesa-dri (names in Debian)")
 
 
-def show(mesh: Mesh) -> None:
+def show_surface(mesh: Mesh) -> None:
     """Open a window with one period of a surface, true to scale and coloured by height; return when it is closed.
 
     Raises RuntimeError where there is no screen, or no GL library to draw with.

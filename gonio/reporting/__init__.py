@@ -11,7 +11,6 @@ import inspect
 import io
 import json
 import re
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -29,6 +28,9 @@ from gonio.self_check import SelfCheckReport, check
 from microsurfaces.atomic_write import atomic_write
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from gonio.brdf import BRDF
     from gonio.fitting import Fit
     from gonio.measurement import Measurement
     from gonio.models import Model
@@ -42,7 +44,7 @@ POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inli
 def report(
     measurement: Measurement,
     path: str | Path,
-    models: Sequence[Model | Comparison] = (),
+    models: Sequence[Model | BRDF | Comparison] = (),
     fits: Sequence[Fit] = (),
     command: str = "",
     pictures: Iterable[Path] = (),
@@ -52,7 +54,7 @@ def report(
     What exists already is not made again: a model that was compared may stand there as its comparison, and `pictures`
     are files called lobes.png, slices.png, hemisphere.png, albedo.png, difference.png or fits.png, which go into the
     page as they are. `command` is what made the page, for those who want to make it again. What a measurement does not
-    have (one from elsewhere keeps no orders, apertures have no lobes) is left out with a sentence. Raises ValueError if
+    have (an external one keeps no orders, apertures have no lobes) is left out with a sentence. Raises ValueError if
     nothing was measured, and if plotly is not installed.
     """
     path = Path(path)
@@ -132,7 +134,7 @@ def _section(heading: str, *content: Element) -> Element:
 def _explore(measurement: Measurement) -> Element:
     """The place of the interactive lobe and slice, which the page's script fills."""
     controls = (
-        _control("incidence", "Light from", tag("input", type="range", id="incidence", min="0", value="0")),
+        _control("incidence", "Incident direction", tag("input", type="range", id="incidence", min="0", value="0")),
         _control("channel", "Wavelength or channel", tag("select", id="channel")),
         _control("order", "Light that hit the surface", tag("select", id="order")),
         _control(
@@ -171,15 +173,17 @@ def _control(name: str, words: str, element: Element) -> Element:
 # --- Pictures ---------------------------------------------------------------------------------------------------------
 
 
-Picture = Callable[[str, Callable[[Path], Path], str], Element]
-"""A figure, by its name, how it is drawn, and its caption."""
+Draw = Callable[[], "Figure"]
+"""Draws a figure of `plots`."""
+Picture = Callable[[str, Draw, str], Element]
+"""A figure in the page, by its name, how it is drawn, and its caption."""
 
 
 def _pictures(
-    measurement: Measurement, models: Sequence[Model], chosen: Comparison | None, picture: Picture
+    measurement: Measurement, models: Sequence[Model | BRDF], chosen: Comparison | None, picture: Picture
 ) -> list[Element]:
     """The figures of `plots`; a sentence in place of one that this measurement does not allow."""
-    draw: dict[str, tuple[Callable[[Path], Path], str]] = {
+    draw: dict[str, tuple[Draw, str]] = {
         "lobes": (
             functools.partial(plots.lobes, measurement),
             "Lobes: the radius in a direction is the light sent into it, per steradian.",
@@ -194,18 +198,18 @@ def _pictures(
         ),
         "albedo": (
             functools.partial(plots.albedo, measurement, models=models),
-            "Albedo: the share of the light that comes back against the lamp's angle, and the models as markers.",
+            "Albedo: the share of the light that comes back against the angle of incidence, and the models as markers.",
         ),
     }
     if chosen is not None:
         draw["difference"] = (
-            lambda path: plots.difference(measurement, chosen, path),
+            functools.partial(plots.difference, measurement, chosen),
             f"{tables.name_of(chosen.model)} against the measurement: where it is too bright and where too dark.",
         )
     return [picture(name, *how) for name, how in draw.items()]
 
 
-def _picture(drawn: Mapping[str, Path], name: str, draw: Callable[[Path], Path], caption: str) -> Element:
+def _picture(drawn: Mapping[str, Path], name: str, draw: Draw, caption: str) -> Element:
     from PIL import Image
 
     try:
@@ -224,9 +228,10 @@ def _picture(drawn: Mapping[str, Path], name: str, draw: Callable[[Path], Path],
     return tag("figure", picture, tag("figcaption", caption))
 
 
-def _drawing(draw: Callable[[Path], Path]) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        return draw(Path(folder) / "picture.png").read_bytes()
+def _drawing(draw: Draw) -> bytes:
+    content = io.BytesIO()
+    draw().savefig(content, format="png")
+    return content.getvalue()
 
 
 # --- Numbers ----------------------------------------------------------------------------------------------------------
@@ -236,11 +241,13 @@ def _energy(measurement: Measurement) -> list[Element]:
     parts = [table(tables.albedo(measurement), "Albedo, the share of the light that comes back, ± standard error")]
     orders = tables.energy(measurement)
     if orders is None:
-        return [*parts, *paragraphs("The file keeps no orders of scattering and no ledger of the light.")]
+        return [*parts, *paragraphs("The file keeps no orders of scattering and no energy budget.")]
     return [*parts, table(orders, "Orders of scattering in the reflected light, and what did not come back")]
 
 
-def _compared(measurement: Measurement, models: Sequence[Model | Comparison]) -> tuple[list[Comparison], list[str]]:
+def _compared(
+    measurement: Measurement, models: Sequence[Model | BRDF | Comparison]
+) -> tuple[list[Comparison], list[str]]:
     """How each model compares, and a sentence for each that cannot be compared."""
     comparisons, complaints = [], []
     for model in models:
@@ -308,7 +315,7 @@ def _self_check(measurement: Measurement) -> SelfCheckReport | None:
 
 def _checks(self_check: SelfCheckReport | None) -> list[Element]:
     if self_check is None:
-        return paragraphs("The file comes from elsewhere, without the sums that self-checks are made of.")
+        return paragraphs("The measurement is external, without the sums that self-checks are made of.")
     return [tag("p", self_check.summary()[0]), table(tables.checks(self_check), "Every self-check and what it found")]
 
 
@@ -356,7 +363,7 @@ def _code(text: str) -> Element:
     return tag("pre", tag("code", text), tabindex="0")
 
 
-def _provenance(measurement: Measurement, models: Sequence[Model], command: str) -> list[Element]:
+def _provenance(measurement: Measurement, models: Sequence[Model | BRDF], command: str) -> list[Element]:
     again = [tag("h3", "To run it again"), _code("\n".join(_commands(measurement, command)))]
     return [
         _facts(measurement),
@@ -393,7 +400,7 @@ def _facts(measurement: Measurement) -> Element:
     return tag("div", tag("table", caption, tag("tbody", *rows), class_="facts"), class_="scroll")
 
 
-def _sources(measurement: Measurement, models: Sequence[Model]) -> list[str]:
+def _sources(measurement: Measurement, models: Sequence[Model | BRDF]) -> list[str]:
     """What to cite: the program, the refractive indices, the models."""
     version = _told(measurement.attributes, "versions").get("gonio", __version__)
     sources = [f"gonio {version}, a virtual gonioreflectometer, with the experiment above."]

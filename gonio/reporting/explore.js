@@ -56,7 +56,7 @@
   }
 
   function guides(s) {
-    const { lamp, mirror } = data.colours;
+    const { incident, specular } = data.colours;
     const theta = data.incidences[s.incidence].theta;
     const around = Array.from({ length: 73 }, (_, k) => 5 * k);
     const rings = [30, 60, 90].map((t) =>
@@ -69,13 +69,13 @@
       lighting: { ambient: 1, diffuse: 0, specular: 0, fresnel: 0 }, contours: NO_CONTOURS };
     const arc = line3d(around.slice(0, 37).map((a) => direction(a - 90, 0)), "#8a8a86", 2);
     const ray = (phi, colour) => line3d([0, 1.3].map((r) => direction(theta, phi).map((c) => r * c)), colour, 5);
-    return [plane, ...rings, arc, ray(0, lamp), ray(180, mirror)];
+    return [plane, ...rings, arc, ray(0, incident), ray(180, specular)];
   }
 
   function names(theta) {
-    const { lamp, mirror } = data.colours;
+    const { incident, specular } = data.colours;
     const apart = theta < 4 ? 0.15 : 0;
-    return [["lamp", 0, apart, lamp], ["mirror", 180, -apart, mirror]].map(([text, phi, aside, color]) => {
+    return [["incident", 0, apart, incident], ["specular", 180, -apart, specular]].map(([text, phi, aside, color]) => {
       const [x, y, z] = direction(theta, phi).map((c) => 1.4 * c);
       return { x: x + aside, y, z, text, showarrow: false, font: { ...FONT, color } };
     });
@@ -168,11 +168,11 @@
       line: { color: colour, width: 1.5 } });
     const name = (text, angle, colour, side) => ({ text, x: angle, y: 1, yref: "paper", yanchor: "bottom",
       xanchor: side, showarrow: false, font: { ...FONT, color: colour } });
-    const { lamp, mirror } = data.colours;
+    const { incident, specular } = data.colours;
     const margin = { l: 64, r: 12, t: 48, b: 66 + 19 * traces.length };
     const height = at("slice").clientHeight - margin.t - margin.b;
     const decades = top - bottom > 1.5;
-    const sides = at("slice").clientWidth < 420 ? "" : ", lamp's side < 0 < mirror's";
+    const sides = at("slice").clientWidth < 420 ? "" : ", incident side < 0 < specular side";
     const layout = { margin, font: FONT, hovermode: "closest", paper_bgcolor: "#fff",
       plot_bgcolor: "#fff",
       legend: { orientation: "h", x: 0, y: -58 / height, yanchor: "top", font: { ...FONT, size: 11 } }, showlegend: true,
@@ -181,9 +181,9 @@
       yaxis: { type: "log", range: [Math.max(bottom, top - data.decades), top], title: { text: "BRDF (1/sr)" },
         // Powers of ten are written a quarter larger than what is asked for.
         gridcolor: "#dddddd", exponentformat: "power", dtick: decades ? 1 : "D1", tickfont: { size: decades ? 9.6 : 12 } },
-      shapes: [mark(-theta, lamp), mark(theta, mirror)],
-      annotations: [name("lamp", -theta, lamp, theta < 20 ? "right" : "center"),
-        name("mirror", theta, mirror, theta < 20 ? "left" : "center")] };
+      shapes: [mark(-theta, incident), mark(theta, specular)],
+      annotations: [name("incident", -theta, incident, theta < 20 ? "right" : "center"),
+        name("specular", theta, specular, theta < 20 ? "left" : "center")] };
     Plotly.react("slice", traces, layout, CONFIG);
   }
 

@@ -12,14 +12,14 @@ from gonio import tables
 from gonio.detectors import HemisphereGrid
 from gonio.plots import patches
 from gonio.plots.lobe_scene import CAMERA
-from gonio.plots.slices import Cut as Cut
+from gonio.plots.slices import Cut
 from gonio.plots.style import (
     DECADES,
     FITTED,
     INK,
-    LAMP,
-    MIRROR,
     PAPER,
+    SOURCE,
+    SPECULAR,
     Incidence,
     choose_incidences,
     hits,
@@ -40,7 +40,7 @@ LOBES = 160
 FINE_LOBES = 50
 """So few of them have their vertices closer together."""
 OBLIQUE = 50.0
-"""Degrees; light near it shows the most of a lobe."""
+"""Degrees; incidence near it shows the most of a lobe."""
 DIGITS = 4
 """Significant digits."""
 
@@ -70,12 +70,12 @@ def explored(measurement: Measurement, comparisons: Sequence[Comparison]) -> dic
         "models": [_model(comparison, incidences, cuts, wavelengths) for comparison in comparisons],
         "decades": DECADES,
         "camera": _rounded(CAMERA),
-        "colours": {"lamp": LAMP, "mirror": MIRROR, "ink": INK, "paper": PAPER, "models": FITTED},
+        "colours": {"incident": SOURCE, "specular": SPECULAR, "ink": INK, "paper": PAPER, "models": FITTED},
     }
 
 
 def _start(incidences: Sequence[Incidence], wavelengths: list[float]) -> dict[str, int]:
-    """What is shown first: oblique light, as green as there is."""
+    """What is shown first: oblique incidence, as green as there is."""
     return {
         "incidence": min(range(len(incidences)), key=lambda k: abs(incidences[k].theta - OBLIQUE)),
         "channel": min(range(len(wavelengths)), key=lambda k: abs(wavelengths[k] - GREEN)),

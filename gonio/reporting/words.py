@@ -55,7 +55,7 @@ def _listed(words: Iterable[str]) -> str:
 
 
 def _subject(measurement: Measurement) -> str:
-    """Which specimen, lit from where, seen at which wavelengths."""
+    """Which specimen, at which incidences, seen at which wavelengths."""
     incidences = list(measurement.incidences())
     polar = sorted({theta for theta, _ in incidences})
     angles = _listed(f"{theta:g}°" for theta in polar) if len(polar) < 9 else f"{polar[0]:g}° to {polar[-1]:g}°"
@@ -64,7 +64,7 @@ def _subject(measurement: Measurement) -> str:
         lit = f"lit from {len(incidences)} of Klems's patches"
     seen = f"{lit} and seen {_channels(measurement)}"
     if measurement.sums is None:
-        return f"This measurement comes from elsewhere ({measurement.attributes['origin']}): a specimen {seen}."
+        return f"This is an external measurement ({measurement.attributes['origin']}): a specimen {seen}."
     data = measurement.dataset
     count, paths = (int(data[name].values[measurement.measured].max()) for name in ("realisations", "paths"))
     specimens = "One specimen was" if count == 1 else f"{count} specimens were"
@@ -144,7 +144,7 @@ def _whole(measurement: Measurement) -> bool:
 
 
 def _multiple(measurement: Measurement) -> str:
-    """The share of multiple scattering at the steepest and at the most grazing light."""
+    """The share of multiple scattering at the steepest and at the most grazing incidence."""
     if measurement.sums is None:
         return ""
     albedo = measurement.dataset["albedo"].mean("wavelength")

@@ -97,6 +97,6 @@ def blank(monkeypatch: pytest.MonkeyPatch) -> Calls:
 
         return draw
 
-    for name in ("lobes", "slices", "hemisphere", "albedo", "difference", "sphere", "relief", "paths"):
+    for name in ("lobes", "lobe_meshes", "slices", "hemisphere", "albedo", "difference", "sphere", "relief", "paths"):
         monkeypatch.setattr(f"gonio.plots.{name}", stand_in(name))
     return calls

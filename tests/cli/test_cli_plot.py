@@ -34,9 +34,9 @@ def test_plot_draws_into_a_folder(run: Gonio, files: Files, measured: Path) -> N
 @pytest.mark.parametrize(
     ("tokens", "name", "file", "options"),
     [
-        ("--kind lobes --log --orders --to x.png", "lobes", "x.png", {"models": (), "radius": "log", "orders": True}),
-        ("--kind lobes --linear --to new/x.gltf", "lobes", "new/x.gltf", {"models": (), "radius": "linear"}),
-        ("--kind lobes --wavelength 450 -o out", "lobes", "out/lobes.png", {"models": (), "wavelength": 450.0}),
+        ("--kind lobes --log --orders --to x.png", "lobes", "x.png", {"radius": "log", "orders": True}),
+        ("--kind lobes --linear --to new/x.gltf", "lobe_meshes", "new/x.gltf", {"radius": "linear"}),
+        ("--kind lobes --wavelength 450 -o out", "lobes", "out/lobes.png", {"wavelength": 450.0}),
         ("--kind hemisphere --wavelength 450 --to x.svg", "hemisphere", "x.svg", {"wavelength": 450.0}),
         ("--kind difference --model cook-torrance -o out", "difference", "out/difference.png", {}),
     ],
@@ -47,6 +47,10 @@ def test_plot_gives_each_kind_its_options(
     code, out, err = run("plot", str(measured), *tokens.split())
     assert (code, err, out) == (0, "", f"{file}\n")
     ((drawn, _, given),) = blank
+    style = given.pop("style", None)
+    if style is not None:
+        assert given.pop("models") == ()
+        given = {key: value for key, value in (given | vars(style)).items() if value not in (None, False)}
     assert (drawn, given) == (name, options)
     assert Path(file).exists()
 
@@ -101,7 +105,7 @@ def test_plot_shows_the_surface_that_was_measured(run: Gonio, measured: Path, bl
     np.testing.assert_array_equal(built.heights, experiment.relief().heights)
     if source == "NC":
         assert run("plot", file, "--kind", "lobes", "--ground", "-o", "out")[0] == 0
-        np.testing.assert_array_equal(blank[-1][2]["ground"].heights, built.heights)
+        np.testing.assert_array_equal(blank[-1][2]["style"].ground.heights, built.heights)
 
 
 @pytest.mark.parametrize(

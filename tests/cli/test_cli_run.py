@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
+from matplotlib.figure import Figure
 
 import gonio
 import microsurfaces as ms
@@ -97,15 +97,16 @@ def test_a_run_draws_and_compares_once(run: Gonio, monkeypatch: pytest.MonkeyPat
 
 
 def _counted(calls: list[str], name: str, function: Callable[..., Any] | None = None) -> Callable[..., Any]:
-    """Notes that it was called; draws a white square if there is no `function`."""
+    """Notes that it was called; draws nothing, into a file if it is asked to, where there is no `function`."""
 
     def counted(*values: Any, **options: Any) -> Any:
         calls.append(name)
         if function is not None:
             return function(*values, **options)
-        path: Path = values[-1]
-        Image.new("RGB", (2, 2)).save(path)
-        return path
+        figure = Figure(figsize=(1, 1))
+        if isinstance(values[-1], Path):
+            figure.savefig(values[-1])
+        return figure
 
     return counted
 
@@ -154,7 +155,7 @@ def test_surface_prints_statistics_and_saves(run: Gonio, name: str) -> None:
 
 def test_show_opens_a_window(run: Gonio, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[ms.Mesh] = []
-    monkeypatch.setattr("gonio.plots.show", shown.append)
+    monkeypatch.setattr("gonio.plots.show_surface", shown.append)
     assert run("surface", "toy.toml", "--show")[0] == 0
     assert len(shown[0].faces) == 2 * 32**2
 

@@ -56,7 +56,7 @@ def test_a_measurement_shows_lobes_and_numbers(measurement):
     assert rows["albedo"].startswith(f"{albedo:.4g} ± ")
     polygons = list(tree.iter("polygon"))
     assert len(polygons) == 2
-    # The lobe at 50 degrees leans to the mirror's side, the right.
+    # The lobe at 50 degrees leans to the specular side, the right.
     points = [tuple(map(float, pair.split(","))) for pair in polygons[1].get("points").split()]
     farthest = max(points, key=lambda point: np.hypot(*point))
     assert np.degrees(np.arctan2(farthest[0], -farthest[1])) == pytest.approx(52, abs=12)
@@ -96,7 +96,7 @@ def test_titles_are_text_and_not_html():
     assert 'alt="&quot;&lt;"' in image(np.zeros((2, 2), np.uint8), '"<')
 
 
-def test_an_experiment_shows_its_lamps():
+def test_an_experiment_shows_its_incident_directions():
     tree, rows = parsed(experiment(goniometer=gonio.Goniometer(theta_i=(0.0, 30.0, 60.0)), realisations=2, seed=5))
     assert rows["surface"].startswith("Gaussian(alpha=0.3")
     assert rows["light"] == "3 incidences, 3 wavelengths"
@@ -131,7 +131,7 @@ def test_light_comes_from_the_left_and_y_is_up():
     assert grey[10, 60] > grey[150, 60] > grey[10, 100]
 
 
-def test_a_sketch_has_the_lamp_on_the_left_and_lobes_in_the_plane():
+def test_a_sketch_has_the_source_on_the_left_and_lobes_in_the_plane():
     assert plane_of_incidence([90.0]).count('x1="-90.0" y1="-0.0" x2="-110.0"') == 1
     grid = HemisphereGrid(5.0, 10.0)
     dphi = np.broadcast_to(grid.dphi, grid.shape)
@@ -161,9 +161,10 @@ def test_lobes_turn_and_have_a_slider(measurement):
         assert "450 nm" in head
         assert "radius" in head
         radius = np.sqrt(np.asarray(lobe.x) ** 2 + np.asarray(lobe.y) ** 2 + np.asarray(lobe.z) ** 2)
-        assert np.nanmax(radius) == pytest.approx(1.0, abs=0.02)
+        # The highest vertex may be one of those that are left out to keep the page small.
+        assert 0.9 < np.nanmax(radius) <= 1.0 + 1e-3
         assert np.asarray(lobe.z).min() >= 0
-    # It begins with the second, whose peak is on the mirror's side: the lamp is at x > 0.
+    # It begins with the second, whose peak is on the specular side: the source is at x > 0.
     assert [trace.visible for trace in lobes] == [False, True]
     assert np.asarray(lobes[1].x)[np.unravel_index(np.nanargmax(radius), radius.shape)] < -0.4
     assert len(figure.to_json()) < 3e6

@@ -61,7 +61,7 @@ def test_in_a_white_furnace_a_ball_sends_its_albedo(name, gold, mitsuba):
 
 
 def test_a_traced_ball_is_the_shaded_one(gold, mitsuba):
-    """Nothing is reflected twice by a ball alone: both see the same lamp and the same sky."""
+    """Nothing is reflected twice by a ball alone: both see the same source and the same sky."""
     traced = rendering.radiances(gold[1], "ball", SIZE, 256)
     shaded = appearance.sphere(gold[0], SIZE)
     inside = appearance.silhouette(SIZE) == 1
@@ -93,8 +93,20 @@ def test_seeds_decide_and_the_floor_has_a_shadow(gold, mitsuba):
     np.testing.assert_allclose(pictures[0], pictures[1], rtol=1e-4)
     assert np.abs(pictures[0] - pictures[2]).mean() > 1e-3
     floor = pictures[0][24:28].mean(axis=-1)
-    # The lamp is at the upper left: the shadow lies on the right.
+    # The source is at the upper left: the shadow lies on the right.
     assert floor[:, -3:].min() < 0.6 * floor[:, :3].mean()
+
+
+def test_a_measurement_its_brdf_and_its_files_give_one_picture(gold, mitsuba, tmp_path):
+    measurement, bsdf = gold
+    sources = (measurement, gonio.BRDF.of(measurement), gonio.save(measurement, tmp_path / "gold.nc"), bsdf)
+    pictures = []
+    for k, source in enumerate(sources):
+        path = gonio.render(source, tmp_path / f"{k}.png", scene="ball", size=8, spp=4)
+        with Image.open(path) as picture:
+            pictures.append(np.asarray(picture).astype(int))
+    for other in pictures[1:]:
+        np.testing.assert_allclose(other, pictures[0], atol=1)
 
 
 def test_the_command_writes_pictures(gold, mitsuba, tmp_path, capsys):

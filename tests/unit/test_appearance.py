@@ -21,8 +21,8 @@ GOLD = Microfacet(distribution=Beckmann(0.3), masking=SmithCorrelated(), materia
 
 def test_a_diffuse_ball_shows_the_cosine():
     image = appearance.sphere(Lambert(reflectance=0.6), SIZE, irradiance=np.pi, sky=None)
-    lamp = np.array(appearance.LAMP) / np.linalg.norm(appearance.LAMP)
-    expected = 0.6 * np.clip(NORMALS @ lamp, 0, None)
+    light = np.array(appearance.LIGHT) / np.linalg.norm(appearance.LIGHT)
+    expected = 0.6 * np.clip(NORMALS @ light, 0, None)
     well_inside = X**2 + Z**2 < 0.99
     np.testing.assert_allclose(image[well_inside], np.repeat(expected[well_inside][:, None], 3, axis=1), atol=1e-9)
     covered = appearance.silhouette(SIZE) > 0
@@ -32,7 +32,7 @@ def test_a_diffuse_ball_shows_the_cosine():
 
 @pytest.mark.parametrize("model", [Lambert(reflectance=0.5), GOLD], ids=("diffuse", "gold"))
 def test_in_a_white_furnace_a_ball_shows_its_albedo(model):
-    """Radiance 1 from everywhere: towards the eye goes the albedo of a lamp in the eye's place."""
+    """Radiance 1 from everywhere: towards the eye goes the albedo of light from the eye's place."""
     image = appearance.sphere(model, SIZE, irradiance=0.0, sky=np.ones_like)
     theta = np.degrees(np.arccos(-NORMALS[INSIDE][:, 1]))
     grid = HemisphereGrid(2.0, 3.0)
@@ -45,11 +45,11 @@ def test_in_a_white_furnace_a_ball_shows_its_albedo(model):
         np.testing.assert_allclose(image[INSIDE][chosen, channel], expected, rtol=0.02)
 
 
-def test_the_highlight_is_where_a_mirror_would_show_the_lamp():
+def test_the_highlight_is_where_a_smooth_ball_would_show_the_source():
     image = appearance.sphere(GOLD, SIZE, sky=None)
     row, column = np.unravel_index(np.nan_to_num(image[..., 0]).argmax(), (SIZE, SIZE))
-    lamp = np.array(appearance.LAMP) / np.linalg.norm(appearance.LAMP)
-    half = lamp - np.array([0.0, 1.0, 0.0])
+    light = np.array(appearance.LIGHT) / np.linalg.norm(appearance.LIGHT)
+    half = light - np.array([0.0, 1.0, 0.0])
     half /= np.linalg.norm(half)
     assert (X[row, column], Z[row, column]) == pytest.approx((half[0], half[2]), abs=0.08)
     # Gold is gold.
@@ -90,14 +90,14 @@ def test_narrow_lobes_keep_their_energy_at_grazing_angles():
     narrow = Microfacet(distribution=Beckmann(0.1), masking=SmithCorrelated(), material=Mirror())
     fine = HemisphereGrid(0.5, 1.0)
     for theta in (75.0, 84.0):
-        shares = appearance._shares(appearance.coloured(narrow), theta, 0.0, appearance._Bins.around_mirror(), 2)
+        shares = appearance._shares(appearance.coloured(narrow), theta, 0.0, appearance._Bins.around_specular(), 2)
         wi = direction(theta, 0.0)
         expected = fine.projected_solid_angles() @ appearance.coloured(narrow).average(wi, fine)[:, 0]
         assert shares.sum(axis=0) == pytest.approx([expected] * 3, rel=0.03)
 
 
 def test_bins_of_the_sky_fill_the_hemisphere():
-    for bins in (appearance._Bins.even(), appearance._Bins.around_mirror()):
+    for bins in (appearance._Bins.even(), appearance._Bins.around_specular()):
         assert bins.area.sum() == pytest.approx(np.pi, rel=1e-12)
 
 
@@ -167,7 +167,7 @@ def brushed(wi, wo):
 
 def test_brushed_balls_have_streaks_across_their_grain():
     lobes = BRDF(brushed, np.array([550.0]), np.array([0.0]), np.arange(0.0, 360.0, 30.0), isotropic=False)
-    image = appearance.sphere(lobes, SIZE, lamp=(0.0, -1.0, 0.0), sky=None)[..., 1]
+    image = appearance.sphere(lobes, SIZE, light_direction=(0.0, -1.0, 0.0), sky=None)[..., 1]
     bright = np.nan_to_num(image) > 0.5 * np.nanmax(image)
     rows, columns = np.nonzero(bright)
     # x runs along circles of latitude: facets tilt along meridians, and the streak is upright.
@@ -175,11 +175,11 @@ def test_brushed_balls_have_streaks_across_their_grain():
 
 
 def test_a_plate_glows_where_its_mirror_would():
-    image = appearance.plate(GOLD, size=(61, 71), lamp_theta=60.0)
+    image = appearance.plate(GOLD, size=(61, 71), light_theta=60.0)
     row, column = np.unravel_index(image[..., 0].argmax(), image.shape[:2])
     assert column == 35
     theta = np.linspace(80.0, 20.0, 61)[row]
-    # Rough lobes peak beyond the mirror direction.
+    # Rough lobes peak beyond the specular direction.
     assert theta >= 60
     assert angles(reflect(direction(60, 90), [0, 0, 1.0]))[1] == pytest.approx(270)
 

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gonio import appearance
+from gonio import appearance, plots
 from gonio.detectors import HemisphereGrid
 from gonio.models import Beckmann, Lambert, Microfacet, SmithCorrelated
 from gonio.optics import Conductor
-from gonio.plots import ball
 
 GOLD = Microfacet(distribution=Beckmann(0.3), masking=SmithCorrelated(), material=Conductor("Au"))
 SIZE = 90
@@ -19,15 +18,6 @@ def measurement():
     return appearance.coloured(GOLD).sampled(np.arange(0.0, 86.0, 5.0), 0.0, HemisphereGrid(2.0, 3.0))
 
 
-@pytest.fixture
-def figures(monkeypatch):
-    """The figures that are saved."""
-    kept = []
-    save = ball.save
-    monkeypatch.setattr(ball, "save", lambda figure, path: kept.append(figure) or save(figure, path))
-    return kept
-
-
 def pictures(figure):
     """(sphere, plate) RGBA of every column."""
     shown = [panel.images[0].get_array() for panel in figure.axes]
@@ -35,10 +25,10 @@ def pictures(figure):
     return list(zip(shown[:count], shown[count:], strict=True))
 
 
-def test_a_measurement_and_its_model_look_alike_and_a_diffuser_does_not(measurement, figures, tmp_path):
-    path = ball.sphere(measurement, tmp_path / "sphere.png", (GOLD, Lambert(reflectance=0.5)), size=SIZE)
+def test_a_measurement_and_its_model_look_alike_and_a_diffuser_does_not(measurement, tmp_path):
+    path = tmp_path / "sphere.png"
+    figure = plots.sphere(measurement, path, models=(GOLD, Lambert(reflectance=0.5)), size=SIZE)
     assert [p.name for p in tmp_path.iterdir()] == ["sphere.png"]
-    (figure,) = figures
     assert [panel.get_title() for panel in figure.axes[:3]] == [
         "measured, all orders",
         "Microfacet, 1 hit",
@@ -60,10 +50,9 @@ def test_a_measurement_and_its_model_look_alike_and_a_diffuser_does_not(measurem
     assert middle[0] > middle[1] > middle[2] + 20
 
 
-def test_the_rim_is_smooth_and_the_spheres_share_one_exposure(measurement, figures, tmp_path):
+def test_the_rim_is_smooth_and_the_spheres_share_one_exposure(measurement):
     models = (Lambert(reflectance=0.2), Lambert(reflectance=0.8))
-    ball.sphere(measurement, tmp_path / "sphere.png", models, size=SIZE)
-    _, (dim, _), (bright, _) = pictures(figures[0])
+    _, (dim, _), (bright, _) = pictures(plots.sphere(measurement, models=models, size=SIZE))
     alpha = dim[..., 3] / 255
     assert alpha.mean() == pytest.approx(np.pi / 4, abs=0.003)
     assert ((alpha > 0.1) & (alpha < 0.9)).sum() > SIZE
@@ -73,7 +62,7 @@ def test_the_rim_is_smooth_and_the_spheres_share_one_exposure(measurement, figur
     np.testing.assert_allclose(shown[0][clear][:, :3] * 4, shown[1][clear][:, :3], rtol=0.06)
 
 
-def test_the_light_the_exposure_and_the_noise_are_told(measurement, figures, tmp_path):
+def test_the_light_the_exposure_and_the_noise_are_told(measurement):
     data = measurement.dataset["brdf"].sel(order="all").values
     noisy = appearance.tabulated(
         data,
@@ -84,35 +73,38 @@ def test_the_light_the_exposure_and_the_noise_are_told(measurement, figures, tmp
         0.3 * data,
         {**measurement.attributes, "title": "gold & $"},
     )
-    ball.sphere(noisy, tmp_path / "sphere.png", size=SIZE)
-    told = figures[0].get_supxlabel().replace("\n", " ")
+    figure = plots.sphere(noisy, size=SIZE)
+    told = figure.get_supxlabel().replace("\n", " ")
     smooth, radius = appearance.softened(noisy)
     white = appearance.exposure(appearance.sphere(smooth, SIZE))
-    for words in ("a lamp of irradiance 2 from the upper left", "a clear sky", f"White is radiance {white:.2g}"):
+    for words in ("a source of irradiance 2 from the upper left", "a clear sky", f"White is radiance {white:.2g}"):
         assert words in told
-    head = figures[0].get_suptitle().replace("\n", " ")
+    head = figure.get_suptitle().replace("\n", " ")
     assert "gold & \\$" in head
     assert f"averaged within {radius:g}°" in head
-    ball.sphere(measurement, tmp_path / "sphere.png", size=SIZE)
-    assert "averaged" not in figures[1].get_suptitle()
+    assert "averaged" not in plots.sphere(measurement, size=SIZE).get_suptitle()
 
 
-def test_models_without_values_and_too_many_models_are_told(measurement, figures, tmp_path):
+def test_models_without_values_and_too_many_models_are_told(measurement):
     class Delta:
         order = "1"
 
         def eval(self, wi, wo, wavelengths):
             raise ValueError("a mirror has no values")
 
-    ball.sphere(measurement, tmp_path / "sphere.png", (Delta(), *[Lambert(reflectance=0.5)] * 4), size=SIZE)
-    assert len(figures[0].axes) == 2 * 3
-    told = figures[0].get_supxlabel().replace("\n", " ")
+        def average(self, wi, detector, wavelengths):
+            raise NotImplementedError
+
+    figure = plots.sphere(measurement, models=(Delta(), *[Lambert(reflectance=0.5)] * 4), size=SIZE)
+    assert len(figure.axes) == 2 * 3
+    told = figure.get_supxlabel().replace("\n", " ")
     assert "no values in single directions: Delta." in told
     assert "2 more models are not shown." in told
 
 
 def test_the_suffix_chooses_the_file_type(measurement, tmp_path):
-    assert ball.sphere(measurement, str(tmp_path / "sphere.pdf"), size=30).read_bytes().startswith(b"%PDF")
+    plots.sphere(measurement, str(tmp_path / "sphere.pdf"), size=30)
+    assert (tmp_path / "sphere.pdf").read_bytes().startswith(b"%PDF")
     with pytest.raises(ValueError, match=r"sphere\.bmp2.*the suffixes are .*\.png"):
-        ball.sphere(measurement, tmp_path / "sphere.bmp2", size=30)
+        plots.sphere(measurement, tmp_path / "sphere.bmp2", size=30)
     assert [p.name for p in tmp_path.iterdir()] == ["sphere.pdf"]

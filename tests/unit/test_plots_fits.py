@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
-from pictures import GRID, measured, pixels, where
+from pictures import GRID, measured, pixels, where, words_of
 from synthetic import external
 
 import gonio
@@ -29,19 +29,6 @@ def found(measurement):
     return fit(measurement, CookTorrance(m=0.3, material=GOLD))
 
 
-@pytest.fixture
-def drawn(monkeypatch):
-    """Draws, and gives the figure."""
-    figures = []
-    monkeypatch.setattr(style, "save", lambda figure, path: figures.append(figure) or path)
-
-    def draw(*arguments):
-        plots.fits(*arguments, "x.png")
-        return figures[-1]
-
-    return draw
-
-
 def panels(figure):
     """The panels of slices, of residuals, and of parameters."""
     left, right = (half.get_axes() for half in figure.subfigs)
@@ -60,20 +47,14 @@ def curve(panel, colour):
     return np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
 
 
-def words(figure):
-    from matplotlib.text import Text
-
-    return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
-
-
 def brdf(measurement, order, name="brdf"):
-    """Values in the plane of incidence on the mirror's side beyond 20 degrees, where a bin stands for itself."""
+    """Values in the plane of incidence on the specular side beyond 20 degrees, where a bin stands for itself."""
     here = measurement.dataset[name].sel(order=order, theta_i=40, phi_i=0, dphi=180, wavelength=450)
     return here.sel(theta_o=slice(20, 80)).values
 
 
-def test_slices_show_the_light_that_was_fitted_with_two_standard_errors(measurement, found, drawn):
-    above, _, _ = panels(drawn(measurement, [found]))
+def test_slices_show_the_light_that_was_fitted_with_two_standard_errors(measurement, found):
+    above, _, _ = panels(plots.fits(measurement, [found]))
     assert [panel.get_title() for panel in above] == [rf"$\theta_i$ = {theta}°, $\phi_i$ = 0°" for theta in (0, 40, 60)]
     ends = bars(above[1])
     ends = ends[(ends[:, 0, 0] >= 20) & (ends[:, 0, 0] <= 80)]
@@ -83,21 +64,21 @@ def test_slices_show_the_light_that_was_fitted_with_two_standard_errors(measurem
     assert (brdf(measurement, "all") > once).any()
 
 
-def test_curves_are_the_fitted_model_over_the_same_bins(measurement, found, drawn):
-    above, below, _ = panels(drawn(measurement, [found]))
+def test_curves_are_the_fitted_model_over_the_same_bins(measurement, found):
+    above, below, _ = panels(plots.fits(measurement, [found]))
     exact = found.model.average(direction(40.0, 0.0), GRID, np.array([450.0])).reshape(GRID.shape)
-    mirror = exact[(GRID.theta >= 20) & (GRID.theta <= 80), list(GRID.dphi).index(180.0)]
+    specular = exact[(GRID.theta >= 20) & (GRID.theta <= 80), list(GRID.dphi).index(180.0)]
     angle, value = curve(above[1], style.FITTED[0])
     there = (angle >= 20) & (angle <= 80)
-    np.testing.assert_allclose(value[there], mirror, rtol=1e-9)
+    np.testing.assert_allclose(value[there], specular, rtol=1e-9)
     angle, rest = curve(below[1], style.FITTED[0])
-    np.testing.assert_allclose(rest[there], 100 * (mirror / brdf(measurement, "1") - 1), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(rest[there], 100 * (specular / brdf(measurement, "1") - 1), rtol=1e-9, atol=1e-9)
 
 
-def test_parameters_have_their_intervals_and_the_facets_roughness(measurement, found, drawn):
+def test_parameters_have_their_intervals_and_the_facets_roughness(measurement, found):
     value = found.parameters[0].value
     parameter = replace(found.parameters[0], interval=(value - 0.01, value + 0.03))
-    figure = drawn(measurement, [replace(found, parameters=(parameter,))])
+    figure = plots.fits(measurement, [replace(found, parameters=(parameter,))])
     _, _, (roughness, left_over) = panels(figure)
     (ends,) = bars(roughness)
     np.testing.assert_allclose(ends[:, 0], parameter.interval, rtol=1e-12)
@@ -105,32 +86,32 @@ def test_parameters_have_their_intervals_and_the_facets_roughness(measurement, f
     (line,) = (line for line in roughness.lines if line.get_linestyle() == "--")
     assert line.get_xdata()[0] == facets
     assert roughness.get_title() == f"roughness, facets {facets:.4g}"
-    (said,) = (text for text in words(figure) if text.startswith("CookTorrance: m = "))
+    (said,) = (text for text in words_of(figure) if text.startswith("CookTorrance: m = "))
     numbers = [float(part) for part in said.replace("(", "").replace(")", "").split() if part[0].isdigit()]
     assert numbers == pytest.approx([parameter.value, *parameter.interval], abs=parameter.standard_error)
     (bar,) = left_over.patches
     assert bar.get_width() == pytest.approx(100 * found.l1)
 
 
-def test_the_title_says_what_was_fitted(measurement, found, drawn):
+def test_the_title_says_what_was_fitted(measurement, found):
     one = fit(measurement, CookTorrance(m=0.3, material=GOLD), theta_i=(20, 40), wavelengths=(650,))
-    figure = drawn(measurement, [one])
+    figure = plots.fits(measurement, [one])
     title = figure.get_suptitle()
-    assert "CookTorrance fitted to light of 1 hit; lamp at 20° and 40°; 650 nm" in title
+    assert "CookTorrance fitted to light of 1 hit; incident at 20° and 40°; 650 nm" in title
     assert "drawn" not in title
     assert [panel.get_title() for panel in panels(figure)[0]] == [
         rf"$\theta_i$ = {theta}°, $\phi_i$ = 0°" for theta in (20, 40)
     ]
-    every = drawn(measurement, [found]).get_suptitle()
-    assert "lamp at 0°, 20°, 40° and 60°; 450 and 650 nm; drawn: 450 nm, 3 of 4 incidences" in every
+    every = plots.fits(measurement, [found]).get_suptitle()
+    assert "incident at 0°, 20°, 40° and 60°; 450 and 650 nm; drawn: 450 nm, 3 of 4 incidences" in every
 
 
-def test_models_of_different_light_are_told_apart(measurement, found, drawn):
+def test_models_of_different_light_are_told_apart(measurement, found):
     """One model speaks of one hit, the other of all light: each is held against its own."""
     facets = [Microfacet(distribution=d, masking=SmithCorrelated(), material=GOLD) for d in (Beckmann(0.3), GGX(0.2))]
     beckmann, ggx = (fit(measurement, model, theta_i=(40,)) for model in facets)
     ward = fit(measurement, Ward(alpha=0.3, specular=0.5, reflectance=0.1), theta_i=(40,))
-    figure = drawn(measurement, [beckmann, ggx, ward])
+    figure = plots.fits(measurement, [beckmann, ggx, ward])
     title = " ".join(figure.get_suptitle().split())
     assert "Microfacet (Beckmann) and Microfacet (GGX) fitted to light of 1 hit" in title
     assert "Ward fitted to light of all orders" in title
@@ -149,19 +130,19 @@ def test_models_of_different_light_are_told_apart(measurement, found, drawn):
         np.testing.assert_allclose(rest[there], 100 * (model[there] / brdf(measurement, order) - 1), rtol=1e-9)
 
 
-def test_a_parameter_at_its_limit_has_no_interval(measurement, found, drawn):
+def test_a_parameter_at_its_limit_has_no_interval(measurement, found):
     pressed = replace(found, parameters=(replace(found.parameters[0], at_bound=True),))
-    figure = drawn(measurement, [pressed, found])
+    figure = plots.fits(measurement, [pressed, found])
     (ends,) = bars(panels(figure)[2][0])
     np.testing.assert_allclose(ends[:, 0], found.parameters[0].interval, rtol=1e-12)
-    assert [text.endswith("(at its limit)") for text in words(figure) if ": m = " in text] == [True, False]
+    assert [text.endswith("(at its limit)") for text in words_of(figure) if ": m = " in text] == [True, False]
 
 
-def test_what_comes_from_elsewhere_has_its_channels_and_no_facets(drawn):
+def test_an_external_measurement_has_its_channels_and_no_facets():
     colours = external(Lambert(0.5), detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"})
-    figure = drawn(colours, [fit(colours, Lambert(0.4))])
-    assert "Lambert fitted to all light; lamp at 30°; R, G and B; drawn: channel G" in figure.get_suptitle()
-    told = " ".join(words(figure))
+    figure = plots.fits(colours, [fit(colours, Lambert(0.4))])
+    assert "Lambert fitted to all light; incident at 30°; R, G and B; drawn: channel G" in figure.get_suptitle()
+    told = " ".join(words_of(figure))
     assert "facets" not in told
     assert "standard errors" not in told
     assert "noise" not in told
@@ -169,19 +150,21 @@ def test_what_comes_from_elsewhere_has_its_channels_and_no_facets(drawn):
 
 def test_the_file_has_curves_on_the_left_and_intervals_on_the_right(measurement, found, tmp_path):
     second = replace(found, model=CookTorrance(m=0.2, material=GOLD))
-    picture = pixels(plots.fits(measurement, [found, second], tmp_path / "fits.png"))
+    plots.fits(measurement, [found, second], tmp_path / "fits.png")
+    picture = pixels(tmp_path / "fits.png")
     for colour in style.FITTED[:2]:
         columns, _ = where(picture, colour, 12)
         share = columns / picture.shape[1]
         assert (share < 0.7).sum() > 300
         assert (share > 0.72).sum() > 100
-    assert plots.fits(measurement, [found], tmp_path / "fits.pdf").read_bytes().startswith(b"%PDF")
+    plots.fits(measurement, [found], tmp_path / "fits.pdf")
+    assert (tmp_path / "fits.pdf").read_bytes().startswith(b"%PDF")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fits.pdf", "fits.png"]
 
 
-def test_too_many_fits_are_told_and_none_is_a_mistake(measurement, found, drawn):
-    figure = drawn(measurement, [found] * 5)
+def test_too_many_fits_are_told_and_none_is_a_mistake(measurement, found):
+    figure = plots.fits(measurement, [found] * 5)
     assert "4 of 5 fits" in figure.get_suptitle()
     assert "CookTorrance 4" in {text.get_text() for legend in figure.legends for text in legend.get_texts()}
     with pytest.raises(ValueError, match="no fits to draw"):
-        drawn(measurement, [])
+        plots.fits(measurement, [])

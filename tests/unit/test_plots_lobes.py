@@ -20,7 +20,7 @@ import microsurfaces as ms
 from gonio import plots
 from gonio.detectors import HemisphereGrid, Klems
 from gonio.models import CookTorrance, Lambert
-from gonio.plots import lobe_scene, patches, style
+from gonio.plots import LobeStyle, lobe_files, lobe_scene, patches, style
 from gonio.plots.lobe_scene import Ground, Scale, Shell, solid_angle, surface
 from gonio.sphere import direction
 
@@ -30,17 +30,17 @@ def lobe_of(data):
 
 
 @pytest.mark.parametrize("rendered", [True, False])
-def test_lobes_have_the_lamp_left_and_the_mirror_right(rendered, tmp_path, monkeypatch):
+def test_lobes_have_the_incident_direction_left_and_the_specular_right(rendered, monkeypatch):
     """A lobe turned to dphi = 150 is bright right of the middle, by VTK as by matplotlib."""
     if rendered and not style.can_render():
         pytest.skip("no GL library for VTK")
     monkeypatch.setattr(style, "can_render", lambda: rendered)
     lobe = from_function(lambda t, p: np.exp(-(((t - 40) / 15) ** 2) - ((p - 150) / 20) ** 2))
-    picture = pixels(plots.lobes(lobe, tmp_path / "lobes.png"))
+    picture = pixels(plots.lobes(lobe))
     picture[:, int(0.8 * picture.shape[1]) :] = 255.0
-    lamp, mirror = (where(picture, colour)[0] for colour in (style.LAMP, style.MIRROR))
-    assert min(len(lamp), len(mirror)) > 100
-    assert np.median(lamp) < 0.4 * picture.shape[1] < np.median(mirror)
+    incident, specular = (where(picture, colour)[0] for colour in (style.SOURCE, style.SPECULAR))
+    assert min(len(incident), len(specular)) > 100
+    assert np.median(incident) < 0.4 * picture.shape[1] < np.median(specular)
     red, green, blue = np.moveaxis(picture, -1, 0)
     bright = np.nonzero((green > 150) & (green > 1.5 * blue) & (green > 0.9 * red))[1]
     assert len(bright) > 100
@@ -124,7 +124,7 @@ def test_the_probe_survives_a_segmentation_fault(outcome, works, monkeypatch):
 
 
 @pytest.mark.parametrize("rendered", [True, False])
-def test_a_lobe_has_a_hole_where_nothing_is_known(rendered, tmp_path, monkeypatch):
+def test_a_lobe_has_a_hole_where_nothing_is_known(rendered, monkeypatch):
     """Only the plane of incidence is known: of the lobe a ribbon is left."""
     if rendered and not style.can_render():
         pytest.skip("no GL library for VTK")
@@ -132,7 +132,7 @@ def test_a_lobe_has_a_hole_where_nothing_is_known(rendered, tmp_path, monkeypatc
     counts = []
     for unknown in (False, GRID.dphi % 180 > 0):
         made = external(Lambert(0.5), detector=GRID, unknown=np.reshape(unknown, (-1, 1)))
-        picture = pixels(plots.lobes(made, tmp_path / "lobes.png"))[:, :700]
+        picture = pixels(plots.lobes(made))[:, :700]
         red, green, blue = np.moveaxis(picture, -1, 0)
         counts.append(((green > red + 40) & (green > 0.8 * blue)).sum())
     assert 100 < counts[1] < 0.3 * counts[0]
@@ -143,10 +143,9 @@ def test_a_lobe_has_a_hole_where_nothing_is_known(rendered, tmp_path, monkeypatc
 
 @pytest.fixture
 def seen(monkeypatch):
-    """What is drawn of panels, which are left empty; figures are not saved."""
+    """What is drawn of panels, which are left empty."""
     views = []
     monkeypatch.setattr(sys.modules["gonio.plots.lobes"], "draw", lambda panel, view, *_, **__: views.append(view))
-    monkeypatch.setattr(style, "save", lambda figure, path: path)
     return views
 
 
@@ -156,7 +155,7 @@ def orders():
 
 
 def test_orders_are_nested_and_sum_to_the_whole(orders, seen):
-    plots.lobes(orders, "x.png", orders=True)
+    plots.lobes(orders, style=LobeStyle(orders=True))
     assert len(seen) == 2
     for view in seen:
         whole, *parts = view.shells
@@ -167,7 +166,7 @@ def test_orders_are_nested_and_sum_to_the_whole(orders, seen):
 
 
 def test_overlaid_lobes_share_a_panel(orders, seen):
-    plots.lobes(orders, "x.png", overlaid=True)
+    plots.lobes(orders, style=LobeStyle(overlaid=True))
     (view,) = seen
     assert [incidence.theta for incidence in view.incidences] == [0, 40]
     assert len(view.shells) == 2
@@ -178,7 +177,7 @@ def test_a_model_stands_beside_what_it_describes(orders, seen):
     """Half of what was measured: everywhere -50 %, the darkest blue; the radius is that of the measured lobe."""
     albedo = 0.6
     made = external(Lambert(albedo), detector=GRID, theta_i=(30.0,))
-    plots.lobes(made, "x.png", models=[Lambert(albedo / 2)])
+    plots.lobes(made, models=[Lambert(albedo / 2)])
     ours, theirs, difference = seen
     np.testing.assert_allclose(theirs.shells[0].value, ours.shells[0].value / 2, rtol=1e-9)
     np.testing.assert_array_equal(difference.shells[0].value, ours.shells[0].value)
@@ -186,7 +185,7 @@ def test_a_model_stands_beside_what_it_describes(orders, seen):
         difference.shells[0].paint[:-1], np.broadcast_to(to_rgb("#053061"), (60, 240, 3)), atol=2e-3
     )
     seen.clear()
-    plots.lobes(orders, "x.png", models=[CookTorrance(m=0.3, material=gonio.Conductor("Au"))] * 2)
+    plots.lobes(orders, models=[CookTorrance(m=0.3, material=gonio.Conductor("Au"))] * 2)
     assert len(seen) == 6
     assert seen[0].title.startswith("measured, 1 hit")
     first = orders.dataset["brdf"].sel(order="1", wavelength=[550.0]).isel(theta_i=0, phi_i=0)
@@ -198,14 +197,14 @@ def test_a_model_stands_beside_what_it_describes(orders, seen):
 def test_true_colours_are_those_of_the_albedo(seen):
     """A grey that reflects a half is grey, 188 of 255 on a screen, in every direction; its luminance is the radius."""
     made = external(Lambert(0.5), detector=GRID, wavelengths=(450.0, 550.0, 650.0))
-    plots.lobes(made, "x.png", true_colour=True)
+    plots.lobes(made, style=LobeStyle(true_colour=True))
     (shell,) = seen[0].shells
     np.testing.assert_allclose(255 * shell.paint[:-1], 188, atol=0.6)
     np.testing.assert_allclose(shell.value[0], 0.5 / np.pi, rtol=0.01)
     seen.clear()
     red = external(Lambert(0.5), detector=GRID, wavelengths=(611.4, 549.1, 464.2), attributes={"basis": "RGB"})
-    red.foreign["brdf"][..., 1:] = 0.0
-    plots.lobes(red, "x.png", true_colour=True)
+    red.external["brdf"][..., 1:] = 0.0
+    plots.lobes(red, style=LobeStyle(true_colour=True))
     paint = seen[0].shells[0].paint[:-1]
     assert paint[..., 0].min() > 0.5
     assert paint[..., 1:].max() == 0.0
@@ -220,25 +219,25 @@ def test_true_colours_are_those_of_the_albedo(seen):
         ({"models": [Lambert(0.5)] * 4}, "4 models are too many"),
     ],
 )
-def test_what_cannot_go_together_is_told(orders, options, words, tmp_path):
+def test_what_cannot_go_together_is_told(orders, options, words):
+    models = options.pop("models", ())
     with pytest.raises(ValueError, match=words):
-        plots.lobes(orders, tmp_path / "x.png", **options)
-    assert not list(tmp_path.iterdir())
+        plots.lobes(orders, models=models, style=LobeStyle(**options))
 
 
 def test_what_is_not_known_is_told():
     made = external(detector=GRID)
     with pytest.raises(ValueError, match="does not tell the orders"):
-        plots.lobes(made, "x.png", orders=True)
+        plots.lobes(made, style=LobeStyle(orders=True))
     with pytest.raises(ValueError, match="three wavelengths or more, and this measurement has 1"):
-        plots.lobes(made, "x.png", true_colour=True)
-    with pytest.raises(ValueError, match=r"two measured theta_i at least.*draw \.png"):
-        plots.lobes(made, "x.gif")
+        plots.lobes(made, style=LobeStyle(true_colour=True))
+    with pytest.raises(ValueError, match=r"two measured theta_i at least.*draw a picture"):
+        plots.lobe_film(made, "x.gif")
 
 
 def test_lobes_of_klems_patches_are_steps(seen):
     made = measured(Klems(basis="quarter"), wavelengths=(550.0,))
-    plots.lobes(made, "x.png")
+    plots.lobes(made)
     (incidence,) = seen[0].incidences[:1]
     brdf = incidence.data["brdf"].sel(order="all").values[..., 0]
     known = np.unique(made.dataset["brdf"].sel(order="all", theta_i=incidence.theta, phi_i=0.0).values)
@@ -265,15 +264,13 @@ def test_the_ground_is_true_to_scale_below_the_plane_and_turned_with_the_specime
 
 
 @pytest.mark.parametrize("rendered", [True, False])
-def test_the_ground_is_drawn_under_the_lobe(rendered, tmp_path, monkeypatch):
+def test_the_ground_is_drawn_under_the_lobe(rendered, monkeypatch):
     if rendered and not style.can_render():
         pytest.skip("no GL library for VTK")
     monkeypatch.setattr(style, "can_render", lambda: rendered)
     made = external(Lambert(0.5), detector=GRID)
     flat = ms.HeightField(np.zeros((64, 64)), (1.0, 1.0))
-    bare, laid = (
-        pixels(plots.lobes(made, tmp_path / f"{k}.png", ground=ground)) for k, ground in enumerate((None, flat))
-    )
+    bare, laid = (pixels(plots.lobes(made, style=LobeStyle(ground=ground))) for ground in (None, flat))
     assert bare.shape == laid.shape
     changed = (np.abs(bare - laid).max(axis=-1) > 20)[200:]
     grey = np.ptp(laid[200:], axis=-1) < 25
@@ -287,7 +284,7 @@ def test_the_ground_is_drawn_under_the_lobe(rendered, tmp_path, monkeypatch):
 def test_lobes_for_other_programs_have_their_size_and_colours(suffix, tmp_path):
     """Two Lambertian lobes, spheres of diameter 1, stand side by side; those at 1/sr's peak are yellow."""
     made = external(Lambert(0.5), detector=HemisphereGrid(theta_step=2.0, phi_step=3.0), theta_i=(0.0, 60.0))
-    path = plots.lobes(made, tmp_path / f"lobes{suffix}")
+    path = plots.lobe_meshes(made, tmp_path / f"lobes{suffix}")
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     if suffix == ".vtp":
         mesh = pyvista.read(path)
@@ -313,37 +310,37 @@ def test_lobes_for_other_programs_have_their_size_and_colours(suffix, tmp_path):
 
 def test_a_film_goes_forth_and_back_and_says_that_it_is_interpolated(tmp_path, monkeypatch):
     lobes = sys.modules["gonio.plots.lobes"]
-    monkeypatch.setattr(lobes, "FRAMES", 3)
+    monkeypatch.setattr(lobe_files, "FRAMES", 3)
     monkeypatch.setattr(style, "can_render", lambda: False)
     made = external(Lambert(0.5), detector=GRID, theta_i=(10.0, 60.0)).as_isotropic()
     texts = []
     head = lobes.headline
     monkeypatch.setattr(lobes, "headline", lambda *words: (texts.append(words), head(*words)))
-    path = plots.lobes(made, tmp_path / "lobes.gif")
+    path = plots.lobe_film(made, tmp_path / "lobes.gif")
     with Image.open(path) as film:
         assert film.n_frames == 4
-        lamps = []
+        tips = []
         for k in range(4):
             film.seek(k)
-            lamps.append(np.median(where(np.asarray(film.convert("RGB")).astype(float), style.LAMP)[1]))
-    # The lamp sinks, and rises again.
-    assert lamps[0] < lamps[1] < lamps[2]
-    assert lamps[1] == pytest.approx(lamps[3], abs=3)
+            tips.append(np.median(where(np.asarray(film.convert("RGB")).astype(float), style.SOURCE)[1]))
+    # The incident direction sinks, and rises again.
+    assert tips[0] < tips[1] < tips[2]
+    assert tips[1] == pytest.approx(tips[3], abs=3)
     assert all("interpolated between measured incidences" in words for words in texts)
 
 
 def test_a_film_for_slides_is_an_mp4_of_even_size(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys.modules["gonio.plots.lobes"], "FRAMES", 2)
+    monkeypatch.setattr(lobe_files, "FRAMES", 2)
     monkeypatch.setattr(style, "can_render", lambda: False)
     made = external(Lambert(0.5), detector=GRID, theta_i=(10.0, 60.0)).as_isotropic()
-    path = plots.lobes(made, tmp_path / "lobes.mp4")
+    path = plots.lobe_film(made, tmp_path / "lobes.mp4")
     assert path.read_bytes()[4:8] == b"ftyp"
     words = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", str(path), str(tmp_path / "%d.png")]
     subprocess.run(words, check=True, timeout=60)
     assert sorted(p.name for p in tmp_path.glob("*.png")) == ["1.png", "2.png"]
     first = pixels(tmp_path / "1.png")
     assert first.shape[0] % 2 == first.shape[1] % 2 == 0
-    assert len(where(first, style.LAMP)[0]) > 30
+    assert len(where(first, style.SOURCE)[0]) > 30
 
 
 def test_without_the_library_a_film_says_what_to_install(monkeypatch):
@@ -352,23 +349,23 @@ def test_without_the_library_a_film_says_what_to_install(monkeypatch):
 
     monkeypatch.setattr("gonio.plots.lobe_files.import_module", missing)
     with pytest.raises(ValueError, match=r"without imageio.*gonio\[report\]"):
-        plots.lobes(external(detector=GRID, theta_i=(0.0, 30.0)), "x.mp4")
+        plots.lobe_film(external(detector=GRID, theta_i=(0.0, 30.0)), "x.mp4")
 
 
 def test_vectors_are_vectors(tmp_path):
     """No picture within, and as many filled facets as the lobe has."""
     made = external(Lambert(0.5), detector=GRID)
-    text = plots.lobes(made, tmp_path / "lobes.svg").read_text()
+    plots.lobes(made, tmp_path / "lobes.svg")
+    text = (tmp_path / "lobes.svg").read_text()
     assert text.count("<image") <= 1  # the colour bar
     assert text.count("<path") > 5000
 
 
-def test_a_window_needs_a_screen(tmp_path, monkeypatch):
+def test_a_window_needs_a_screen(monkeypatch):
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(RuntimeError, match="no screen"):
-        plots.lobes(external(detector=GRID), tmp_path / "lobes.vtp", show=True)
-    assert (tmp_path / "lobes.vtp").exists()
+        plots.show_lobes(external(detector=GRID))
 
 
 def test_surfaces_have_one_pole_and_no_facet_in_a_hole():
@@ -380,7 +377,7 @@ def test_surfaces_have_one_pole_and_no_facet_in_a_hole():
     np.testing.assert_allclose(points[0], direction(0.0), atol=1e-12)
 
 
-def test_a_window_shows_all_of_every_lobe(tmp_path, monkeypatch):
+def test_a_window_shows_all_of_every_lobe(monkeypatch):
     """The view is level with its panel's height: it must be wide enough for the plane and both arrows."""
     if not style.can_render():
         pytest.skip("no GL library for VTK")
@@ -390,7 +387,7 @@ def test_a_window_shows_all_of_every_lobe(tmp_path, monkeypatch):
     monkeypatch.setattr(pyvista.Plotter, "show", lambda self: shown.append(self))
     monkeypatch.setattr(style, "can_render", lambda: False)
     made = external(Lambert(0.5), detector=GRID, theta_i=(0.0, 30.0, 60.0))
-    plots.lobes(made, tmp_path / "x.png", show=True)
+    plots.show_lobes(made)
     (window,) = shown
     width, height = window.window_size
     assert len(window.renderers) == 3

@@ -1,18 +1,16 @@
 """Figures of microsurfaces: what is drawn is what the surface reports, beside what its recipe asks for."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
+import pictures
 import pytest
 from matplotlib import colormaps
-from matplotlib.text import Text
-from PIL import Image
+from pictures import pixels
 
 import microsurfaces as ms
 from gonio.plots.relief import ALONG, Slopes, correlations, inclinations, radial, relief, shade, summary
 
-MODULE = sys.modules["gonio.plots.relief"]
 GAUSSIAN = ms.Gaussian(alpha=0.3, correlation_length=10.0, side=300.0, samples=256)
 SKEWED = ms.Gaussian(alpha_x=0.1, alpha_y=0.4, correlation_length=10.0, side=300.0, samples=256)
 STEEL = ms.HeightFieldFile(
@@ -33,17 +31,8 @@ MESHES = [
 ]
 
 
-@pytest.fixture
-def drawn(monkeypatch):
-    """The figure that a surface is drawn in."""
-    figures = []
-    monkeypatch.setattr(MODULE, "save", lambda figure, path: figures.append(figure) or path)
-
-    def draw(surface, **options):
-        relief(surface, "x.png", **options)
-        return figures[-1]
-
-    return draw
+def words_of(figure):
+    return "\n".join(pictures.words_of(figure))
 
 
 def titled(figure, title):
@@ -52,24 +41,21 @@ def titled(figure, title):
     return panel
 
 
-def words_of(figure):
-    return "\n".join(text.get_text() for text in figure.findobj(Text) if text.get_text())
-
-
 # --- Every kind ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("surface", [*FIELDS, *MESHES], ids=lambda surface: str(surface)[:40])
 def test_every_surface_is_drawn(surface, tmp_path):
-    picture = np.asarray(Image.open(relief(surface, tmp_path / "relief.png")).convert("RGB")).astype(float)
+    relief(surface, tmp_path / "relief.png")
+    picture = pixels(tmp_path / "relief.png")
     assert [p.name for p in tmp_path.iterdir()] == ["relief.png"]
     assert picture.shape[:2] == (1080, 1920)
     assert (picture < 250).any(axis=-1).mean() > 0.05
 
 
 @pytest.mark.parametrize("surface", [*FIELDS, *MESHES], ids=lambda surface: str(surface)[:40])
-def test_every_axis_has_a_name_and_no_letter_is_cut_off(surface, drawn):
-    figure = drawn(surface)
+def test_every_axis_has_a_name_and_no_letter_is_cut_off(surface):
+    figure = relief(surface)
     figure.canvas.draw()
     for panel in figure.axes:
         assert panel.get_xlabel() or panel.get_ylabel(), panel.get_title()
@@ -82,8 +68,8 @@ def test_every_axis_has_a_name_and_no_letter_is_cut_off(surface, drawn):
             assert outer.y0 - 1 < inner.y0 <= inner.y1 < outer.y1 + 1, panel.get_title()
 
 
-def test_the_seed_makes_another_specimen(drawn):
-    one, same, other = (words_of(drawn(GAUSSIAN, seed=seed)) for seed in (1, 1, 2))
+def test_the_seed_makes_another_specimen():
+    one, same, other = (words_of(relief(GAUSSIAN, seed=seed)) for seed in (1, 1, 2))
     assert one == same
     assert one != other
     assert summary(GAUSSIAN.build(2).statistics()) in other
@@ -124,11 +110,11 @@ def test_densities_have_the_moments_that_are_reported(surface):
     assert slopes.beyond == pytest.approx(0.0, abs=2e-3)
 
 
-def test_x_is_x_and_y_is_y(drawn):
+def test_x_is_x_and_y_is_y():
     """The skewed surface is four times as steep along y."""
     slopes = Slopes.of(SKEWED, SKEWED.build(0))
     assert slopes.density[0].max() == pytest.approx(4 * slopes.density[1].max(), rel=0.1)
-    figure = drawn(SKEWED)
+    figure = relief(SKEWED)
     for axis, letter in enumerate("xy"):
         panel = titled(figure, f"slopes along {letter}")
         assert f"partial {letter}" in panel.get_xlabel()
@@ -136,14 +122,14 @@ def test_x_is_x_and_y_is_y(drawn):
         np.testing.assert_array_equal(line.get_ydata(), Slopes.of(SKEWED, SKEWED.build(0)).target[axis])
 
 
-def test_what_asks_for_nothing_is_held_against_the_gaussian_of_its_rms(drawn):
+def test_what_asks_for_nothing_is_held_against_the_gaussian_of_its_rms():
     field = SKEWED.build(3)
     slopes = Slopes.of(field, field)
     middle, statistics = (slopes.edges[1:] + slopes.edges[:-1]) / 2, field.statistics()
     for target, sigma in zip(slopes.target, (statistics.rms_slope_x, statistics.rms_slope_y), strict=True):
         expected = np.exp(-((middle / sigma) ** 2) / 2) / (sigma * np.sqrt(2 * np.pi))
         np.testing.assert_allclose(target, expected, atol=0.01 * expected.max())
-    words = words_of(drawn(field))
+    words = words_of(relief(field))
     assert "same rms" in words
     assert "asked for" not in words
 
@@ -167,14 +153,14 @@ def test_inclinations_are_shares_of_the_plane():
 # --- Correlation, spectrum, relief -----------------------------------------------------------------------------------
 
 
-def test_correlations_run_along_x_and_y(drawn):
+def test_correlations_run_along_x_and_y():
     field = SKEWED.build(2)
     acf = field.acf()
     (lag_x, x), (lag_y, y) = correlations(field, acf)
     step = field.spacing[0]
     assert (lag_x[3], x[3], y[3]) == (3 * step, acf[0, 3], acf[3, 0])
     assert len(lag_y) == 129
-    panel = titled(drawn(SKEWED, seed=2), "autocorrelation")
+    panel = titled(relief(SKEWED, seed=2), "autocorrelation")
     measured_x, measured_y, target_x, target_y = panel.get_lines()[:4]
     np.testing.assert_array_equal(measured_x.get_ydata(), x)
     np.testing.assert_array_equal(measured_y.get_ydata(), y)
@@ -206,8 +192,8 @@ def spectrum(k):
     return np.pi * (1.5 * 10.0) ** 2 * np.exp(-((k * 10.0) ** 2) / 4)
 
 
-def test_the_target_spectrum_is_the_closed_form(drawn):
-    panel = titled(drawn(GAUSSIAN), "spectrum")
+def test_the_target_spectrum_is_the_closed_form():
+    panel = titled(relief(GAUSSIAN), "spectrum")
     k, target = panel.get_lines()[1].get_data()
     # The mean over a ring is not the value at its middle where the spectrum falls fast.
     np.testing.assert_allclose(target[k < 0.3], spectrum(k[k < 0.3]), rtol=0.02)
@@ -226,12 +212,11 @@ def test_the_relief_is_lit_from_the_upper_left_and_level_parts_keep_their_colour
     np.testing.assert_allclose(shade(grey[:2, :2], flat.heights, flat), 0.5)
 
 
-def test_heights_have_their_colours_in_the_picture(tmp_path):
+def test_heights_have_their_colours_in_the_picture():
     """A terrace on the right half: yellow there, dark on the left, and the map's own lower half below."""
     heights = np.zeros((64, 64))
     heights[:32, 32:] = 3.0
-    path = relief(ms.HeightField(heights, (1.0, 1.0)), tmp_path / "relief.png")
-    picture = np.asarray(Image.open(path).convert("RGB")).astype(float)[:820, 180:880]
+    picture = pixels(relief(ms.HeightField(heights, (1.0, 1.0))))[:820, 180:880]
     high, low = (
         np.nonzero(np.abs(picture - 255 * np.array(colormaps["viridis"](end)[:3])).max(axis=-1) < 8)
         for end in (1.0, 0.0)
@@ -241,17 +226,17 @@ def test_heights_have_their_colours_in_the_picture(tmp_path):
     assert high[1].mean() > low[1].mean() + 50
 
 
-def test_the_section_is_to_scale(drawn):
+def test_the_section_is_to_scale():
     for surface in (GAUSSIAN, ms.VGrooves(angle=60.0)):
-        figure = drawn(surface)
+        figure = relief(surface)
         figure.canvas.draw()
         panel = titled(figure, "section")
         box, (left, right), (bottom, top) = panel.get_window_extent(), panel.get_xlim(), panel.get_ylim()
         assert box.width / (right - left) == pytest.approx(box.height / (top - bottom), rel=1e-6)
 
 
-def test_colours_of_x_and_y_are_kept(drawn):
-    lines = titled(drawn(GAUSSIAN), "autocorrelation").get_lines()
+def test_colours_of_x_and_y_are_kept():
+    lines = titled(relief(GAUSSIAN), "autocorrelation").get_lines()
     assert tuple(line.get_color() for line in lines[:2]) == ALONG
 
 
