@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio import appearance
-from gonio.plots.style import INK, PathLike, finished, headline, hits, new_figure
+from gonio.plots.style import INK, PathLike, finished, headline, hits, names_of, new_figure
 from microsurfaces.arrays import Floats
 
 if TYPE_CHECKING:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.brdf import BRDF
 from microsurfaces.arrays import Floats
 from microsurfaces.atomic_write import atomic_write
 
