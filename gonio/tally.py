@@ -106,7 +106,7 @@ class Tally:
             # Threads that finish together begin in different slabs.
             slab %= SLABS
             with self._locks[slab]:
-                _absorb(caught, pilots, edges[slab], edges[slab + 1], *sums)
+                _absorb(caught, pilots, edges[slab], edges[slab + 1], sums)
         with self._locks[0]:
             self.ledger += ledger.sum(axis=0)
             ledger.fill(0)
@@ -127,7 +127,8 @@ class Tally:
 
 
 @njit(cache=True, nogil=True)
-def _absorb(caught, pilots, first, last, total, piloted, high, low, hits):
+def _absorb(caught, pilots, first, last, sums):
+    total, piloted, high, low, counts = sums
     orders, _, members, width = caught.shape
     width -= 1
     whole = np.zeros(width, np.int64)
@@ -136,8 +137,8 @@ def _absorb(caught, pilots, first, last, total, piloted, high, low, hits):
             count = 0
             for order in range(orders):
                 count += caught[order, place, member, width]
-                hits[order + 1, place] += caught[order, place, member, width]
-            hits[0, place] += count
+                counts[order + 1, place] += caught[order, place, member, width]
+            counts[0, place] += count
             if count == 0:
                 continue
             whole[:] = 0

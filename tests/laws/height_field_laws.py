@@ -184,14 +184,15 @@ def directions_are_put_into_the_bins_that_their_angles_lie_in(theta_step, phi_st
     theta, phi = np.arccos(rng.uniform(0, 1, count)), rng.uniform(-math.pi, math.pi, count)
     theta[:4], phi[:4] = (0.0, math.pi / 2 - 1e-9, 1e-9, 1e-4), np.radians(phi_i)
     directions = (np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta))
-    catch = Scores.empty(1, 1, detector.bins + 1, 1)
+    scores = Scores.empty(1, 1, detector.bins + 1, 1)
     records = np.zeros((count + 1, 2), np.int64)
     source = Source(0.5, math.radians(phi_i), 0.0, (0.0, 0.0, 0.0), False, (1, 2))
-    scoring.score(
-        count, directions, np.full(count, ESCAPED, np.int8), np.ones((count, 1)), np.zeros(count, np.int64),
-        np.zeros(count, np.int32), np.ones(count, np.int32), scoring.bins_of(detector, phi_i), source, np.zeros(1),
-        catch.bins, records,
-    )  # fmt: skip
+    escaped, nothing = np.full(count, ESCAPED, np.int8), np.zeros(count, np.int32)
+    arrivals = scoring.Arrivals(
+        directions, escaped, np.ones((count, 1)), nothing.astype(np.int64), nothing, nothing + 1
+    )
+    bins = scoring.bins_of(detector, phi_i)
+    scoring.score(count, arrivals, bins, source, np.zeros(1), scores.bins, records)
     ring = np.searchsorted(detector.theta_edges, np.degrees(theta), side="right") - 1
     along = (np.degrees(phi) - phi_i) / phi_step + 0.5
     sector_ = np.floor(along).astype(int) % detector.shape[1]

@@ -317,9 +317,10 @@ def test_paths_start_uniformly_and_one_in_every_cell():
 def test_height_fields_and_meshes_are_lit_at_the_same_places():
     from gonio.transport import embree, height_field
     from gonio.transport.accelerator import Accelerator
-    from gonio.transport.source import Source
+    from gonio.transport.source import Replicates, Source
 
-    paths, replicates, turns, none = 4**4, 3, np.array([0.1, 0.5, 0.9]), (0.0, 0.0, 0.0)
+    paths, replicates, none = 4**4, 3, (0.0, 0.0, 0.0)
+    group = Replicates(4, np.array([0.1, 0.5, 0.9]), paths)
     relief = ms.HeightField(np.random.default_rng(1).normal(size=(6, 8)), (0.25, 0.5))
     accelerator, tile = Accelerator.of(relief), Scene(relief.mesh(), optics.Mirror()).tile
     sources = (
@@ -330,8 +331,8 @@ def test_height_fields_and_meshes_are_lit_at_the_same_places():
     for source in sources:
         wave, flight = embree._empty_wave(paths * replicates, 1), height_field.PathState.of(paths * replicates, 1)
         beam = height_field.illumination_of(source, accelerator, paths * replicates)
-        embree._launch(wave, 0, 0, paths * replicates, paths, 4, turns, source, tile)
-        height_field._launch(flight, 0, paths, paths, 4, turns, source, beam, accelerator)
+        embree._launch(wave, 0, 0, paths * replicates, group, source, tile)
+        height_field._launch(flight, 0, paths, group, source, beam, accelerator)
         places = np.stack([flight.x * 0.25 - 1, flight.y * 0.5 - 1.5], axis=-1)
         np.testing.assert_allclose(wave.origins[:, :2], places, atol=1e-6)
         directions = np.stack([flight.dx, flight.dy, flight.dz], axis=-1)
