@@ -46,7 +46,8 @@ def pytest_runtest_setup(item):
     packages = [package for mark in item.iter_markers("needs") for package in mark.args]
     bare, no_skips = item.config.getoption("bare"), item.config.getoption("no_skips")
     if missing := [package for package in packages if bare or not found(package)]:
-        (pytest.fail if no_skips else pytest.skip)(f"needs Debian's {' and '.join(missing)}")
+        reason = f"needs Debian's {' and '.join(missing)}"
+        pytest.fail(reason, pytrace=False) if no_skips else pytest.skip(reason)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -87,7 +87,7 @@ def trace(
             score(active, arrivals, bins, source, group.turns, scores.bins, state.records)
         else:
             score_apertures(active, arrivals, bins, source, group.turns, scores.bins)
-        left = _settle(state, active, scene.tile, scores.ledger)
+        left = _settle(state, active, scene.tile, scores.budget)
         if not advanced(active - left, active):
             return False
         active = left
@@ -259,8 +259,8 @@ def _move(state, active, found, facets, tile, optics, source, first_replicate):
 
 
 @kernel
-def _settle(state, active, tile, ledger):
-    """Enter in the ledger what has ended and close up the rest at the front. Returns how many are still in flight.
+def _settle(state, active, tile, budget):
+    """Account for what has ended and close up the rest at the front. Returns how many are still in flight.
 
     What a path lost on its way is absorbed; what it still carries when it ends is truncated or lost, or has escaped.
     """
@@ -272,9 +272,9 @@ def _settle(state, active, tile, ledger):
             slot = state.slots[i]
             for w in range(weights.shape[1]):
                 carried = integer(weights[i, w])
-                ledger[slot, ABSORBED, w] += UNIT - carried
+                budget[slot, ABSORBED, w] += UNIT - carried
                 if termination >= 0:
-                    ledger[slot, termination, w] += carried
+                    budget[slot, termination, w] += carried
             continue
         for axis in range(3):
             origins[left, axis] = origins[i, axis]

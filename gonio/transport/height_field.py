@@ -203,7 +203,7 @@ def _advance(state, accelerator, setup, illumination, group, first, last, scores
             score(count, arrivals, bins, source, turns, scores.bins, state.records)
         else:
             score_apertures(count, arrivals, bins, source, turns, scores.bins)
-        _enter_in_ledger(state, count, scores.ledger)
+        _account_for(state, count, scores.budget)
         first += some
     return rays
 
@@ -633,13 +633,13 @@ def _search(state, count, accelerator, spent):
 
 
 @kernel
-def _enter_in_ledger(state, count, ledger):
+def _account_for(state, count, budget):
     """What a path lost on its way is absorbed; what it still carries when it ends has escaped or is truncated."""
     weights, slots, terminations = state.weights, state.slots, state.terminations
     for n in range(count):
         slot, termination = slots[n], terminations[n]
         for w in range(weights.shape[1]):
             carried = integer(weights[n, w])
-            ledger[slot, ABSORBED, w] += UNIT - carried
+            budget[slot, ABSORBED, w] += UNIT - carried
             if termination >= 0:
-                ledger[slot, termination, w] += carried
+                budget[slot, termination, w] += carried

@@ -211,7 +211,7 @@ DAMAGES = (
         laws.error_bars_cover_the_truth,
     ),
     Damage(
-        "Embree: what is absorbed is in no ledger",
+        "Embree: what is absorbed is in no energy budget",
         "transport.embree._settle",
         "UNIT - carried",
         "0",
@@ -458,8 +458,8 @@ DAMAGES = (
         laws.error_bars_cover_the_truth,
     ),
     Damage(
-        "what is absorbed is in no ledger",
-        "transport.height_field._enter_in_ledger",
+        "what is absorbed is in no energy budget",
+        "transport.height_field._account_for",
         "UNIT - carried",
         "0",
         laws.a_flat_mirror_sends_fresnel_into_one_bin,

@@ -95,11 +95,11 @@ def test_a_lossless_surface_returns_all_light(name):
     """2 million paths for each of five incidences: nothing but restart offsets may swallow light."""
     goniometer = Goniometer(theta_i=(0, 30, 60, 80, 88), phi_i=(10,), paths=2_000_000, wavelengths=GREEN, detector=GRID)
     measurement = goniometer.measure(Scene(RELIEFS[name](), optics.Mirror()), seed=2)
-    ledger = measurement.sums["energy_budget"].astype("int64")
-    astray = ledger.sel(termination="lost") + ledger.sel(termination="truncated")
-    assert (ledger.sel(termination="launched") == 2_000_000 * UNIT).all()
-    assert (ledger.sel(termination="escaped") + astray == ledger.sel(termination="launched")).all()
-    assert (ledger.sel(termination="absorbed") == 0).all()
+    budget = measurement.sums["energy_budget"].astype("int64")
+    astray = budget.sel(termination="lost") + budget.sel(termination="truncated")
+    assert (budget.sel(termination="launched") == 2_000_000 * UNIT).all()
+    assert (budget.sel(termination="escaped") + astray == budget.sel(termination="launched")).all()
+    assert (budget.sel(termination="absorbed") == 0).all()
     assert (astray / (2_000_000 * UNIT) < (1e-6 if name.startswith("gaussian") else 1e-5)).all()
     weight = measurement.sums["weight"]
     assert (weight.sel(order="all") == weight.drop_sel(order="all").sum("order")).all()
@@ -109,12 +109,12 @@ def test_a_lossless_surface_returns_all_light(name):
 @pytest.mark.parametrize(
     "material", [optics.Conductor("Cu"), optics.Dielectric("N-BK7"), optics.Lambertian(0.7)], ids=repr
 )
-def test_the_ledger_closes(material):
+def test_the_energy_budget_closes(material):
     scene = Scene(ms.Gaussian(alpha=0.8, samples=256, side=150.0).build(1), material)
     goniometer = Goniometer(theta_i=(0, 70), paths=100_000, detector=Apertures(((20.0, 30.0), (20.0, 32.0)), 4.0))
-    ledger = goniometer.measure(scene).sums["energy_budget"]
-    assert (ledger.sel(termination="launched") == ledger.drop_sel(termination="launched").sum("termination")).all()
-    assert (ledger.sel(termination="absorbed") > 0).all()
+    budget = goniometer.measure(scene).sums["energy_budget"]
+    assert (budget.sel(termination="launched") == budget.drop_sel(termination="launched").sum("termination")).all()
+    assert (budget.sel(termination="absorbed") > 0).all()
 
 
 # ------------------------------------------------------------------------------------------------- closed forms

@@ -70,8 +70,8 @@ def cylinders(profile, distance):
 
 @traced_both_ways
 def a_lossless_surface_returns_all_light(way):
-    ledger = measure(way(rough()), optics.Mirror(), theta_i=(0, 60, 85), paths=300_000, detector=GRID).energy_budget()
-    lost, absorbed = float(ledger["lost"].max() + ledger["truncated"].max()), float(ledger["absorbed"].max())
+    budget = measure(way(rough()), optics.Mirror(), theta_i=(0, 60, 85), paths=300_000, detector=GRID).energy_budget()
+    lost, absorbed = float(budget["lost"].max() + budget["truncated"].max()), float(budget["absorbed"].max())
     assert absorbed == 0, f"{absorbed:.2g} of the light is absorbed"
     assert lost < 1e-5, f"{lost:.2g} of the light is lost"
 
@@ -80,8 +80,8 @@ def a_lossless_surface_returns_all_light(way):
 def steep_grooves_lose_no_light(way):
     """Up to five hits near the bottom, a concave edge."""
     measurement = measure(way(grooves(angle=70)), optics.Mirror(), theta_i=(0, 60), paths=300_000)
-    ledger = measurement.energy_budget()
-    lost = float((ledger["lost"] + ledger["truncated"]).max())
+    budget = measurement.energy_budget()
+    lost = float((budget["lost"] + budget["truncated"]).max())
     assert lost < 2e-5, f"{lost:.2g} of the light is lost"
 
 
@@ -208,9 +208,9 @@ def orders_add_up_to_the_total():
     for name in ("weight", "count"):
         assert (sums[name].sel(order="all") == sums[name].drop_sel(order="all").sum("order")).all(), name
         assert (sums[name].isel(bin=-1) == sums[name].isel(bin=slice(-1)).sum("bin")).all(), name
-    ledger = sums["energy_budget"]
-    assert (ledger.sel(termination="launched") == ledger.drop_sel(termination="launched").sum("termination")).all(), (
-        "ledger"
+    budget = sums["energy_budget"]
+    assert (budget.sel(termination="launched") == budget.drop_sel(termination="launched").sum("termination")).all(), (
+        "energy budget"
     )
 
 
