@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from PIL import Image
+from readers.mitsuba import MITSUBA
 
 import gonio
 from gonio import appearance, rendering
