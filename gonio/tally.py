@@ -81,7 +81,7 @@ class Tally:
     """Squares of the pilot's weights, summed."""
     count: NDArray[np.int64]
     """Paths that arrived, (orders, bins)."""
-    budget: NDArray[np.int64]
+    energy_budget: NDArray[np.int64]
     """Absorbed, truncated, lost: (3, W)."""
     replicates: int = 0
     _locks: list[threading.Lock] = field(default_factory=lambda: [threading.Lock() for _ in range(SLABS)])
@@ -108,7 +108,7 @@ class Tally:
             with self._locks[slab]:
                 _absorb(scored, pilots, edges[slab], edges[slab + 1], sums)
         with self._locks[0]:
-            self.budget += budget.sum(axis=0)
+            self.energy_budget += budget.sum(axis=0)
             budget.fill(0)
             self.replicates += len(replicates)
 
@@ -118,7 +118,7 @@ class Tally:
         self.piloted += other.piloted
         self.squares.add(other.squares)
         self.count += other.count
-        self.budget += other.budget
+        self.energy_budget += other.energy_budget
         self.replicates += other.replicates
 
     def squared_deviations(self) -> UInt128:

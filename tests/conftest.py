@@ -16,7 +16,7 @@ pytest.register_assert_rewrite("height_field_laws", "statistical", "transport_la
 def _mitsuba_loads():
     try:
         import mitsuba  # noqa: F401
-    except ImportError:
+    except (ImportError, NameError):  # it trips over a name of its own where a library of the system is missing
         return False
     return True
 

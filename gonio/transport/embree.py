@@ -87,7 +87,7 @@ def trace(
             score(active, arrivals, bins, source, group.turns, scores.bins, state.records)
         else:
             score_apertures(active, arrivals, bins, source, group.turns, scores.bins)
-        left = _settle(state, active, scene.tile, scores.budget)
+        left = _settle(state, active, scene.tile, scores.energy_budget)
         if not advanced(active - left, active):
             return False
         active = left

@@ -203,7 +203,7 @@ def _advance(state, accelerator, setup, illumination, group, first, last, scores
             score(count, arrivals, bins, source, turns, scores.bins, state.records)
         else:
             score_apertures(count, arrivals, bins, source, turns, scores.bins)
-        _account_for(state, count, scores.budget)
+        _account_for(state, count, scores.energy_budget)
         first += some
     return rays
 

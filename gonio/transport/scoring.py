@@ -69,7 +69,7 @@ class Scores(NamedTuple):
     """(orders, bins, replicates, wavelengths + 1): weights, and in the last column how many paths arrived; the last
     bin is the whole hemisphere. What is added together lies together, and so do the replicates, because what they send
     off from one place arrives in one bin."""
-    budget: NDArray[np.int64]
+    energy_budget: NDArray[np.int64]
     """What did not escape: absorbed, truncated, lost, (replicates, 3, wavelengths)."""
 
     @classmethod
@@ -141,7 +141,7 @@ def total_up(scored):
 
 def balance(scores: Scores, paths: int) -> None:
     """launched = escaped + absorbed + truncated + lost, exactly, or the instrument is broken."""
-    spent = scores.bins[:, -1, :, :-1].sum(axis=0) + scores.budget.sum(axis=1)
+    spent = scores.bins[:, -1, :, :-1].sum(axis=0) + scores.energy_budget.sum(axis=1)
     if (spent != paths * UNIT).any():
         raise ArithmeticError(f"the energy budget does not close: {spent / UNIT} of {paths} paths accounted for")
 
