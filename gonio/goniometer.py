@@ -251,7 +251,7 @@ def enter(tally: Tally, sums: Any, at: tuple[int, int]) -> None:
     ):
         sums[name].values[at] = value
     launched = np.full(tally.total.shape[2], tally.paths * tally.replicates * UNIT)
-    spent = tally.ledger[[ABSORBED, TRUNCATED, LOST]]
+    spent = tally.energy_budget[[ABSORBED, TRUNCATED, LOST]]
     sums["energy_budget"].values[at] = [launched, tally.total[0, -1], *spent]
 
 
@@ -327,10 +327,10 @@ class _Job:
         labels, bins, width = tally.total.shape
         with self.lock:
             scores = self.spare.pop() if self.spare else None
-        if scores is None or len(replicates) != len(scores.ledger):
+        if scores is None or len(replicates) != len(scores.energy_budget):
             scores = Scores.empty(len(replicates), labels - 1, bins, width)
         if trace(self.scene, setup, replicates, tally.paths, scores, self._advanced):
-            tally.add(replicates, scores.bins, scores.ledger)
+            tally.add(replicates, scores.bins, scores.energy_budget)
             with self.lock:
                 self.spare.append(scores)
 

@@ -81,7 +81,7 @@ class Tally:
     """Squares of the pilot's weights, summed."""
     count: NDArray[np.int64]
     """Paths that arrived, (orders, bins)."""
-    ledger: NDArray[np.int64]
+    energy_budget: NDArray[np.int64]
     """Absorbed, truncated, lost: (3, W)."""
     replicates: int = 0
     _locks: list[threading.Lock] = field(default_factory=lambda: [threading.Lock() for _ in range(SLABS)])
@@ -94,8 +94,8 @@ class Tally:
             pilot, paths, *zeros, UInt128.zeros(shape), np.zeros(shape[:2], np.int64), np.zeros((3, shape[2]), np.int64)
         )
 
-    def add(self, replicates: range, caught: NDArray[np.int64], ledger: NDArray[np.int64]) -> None:
-        """Add what a group of replicates caught, (orders, bins, replicates, W and the number of paths), and lost.
+    def add(self, replicates: range, scored: NDArray[np.int64], budget: NDArray[np.int64]) -> None:
+        """Add what a group of replicates scored, (orders, bins, replicates, W and the number of paths), and lost.
 
         Both arrays hold zeros afterwards, ready for the next group.
         """
@@ -106,10 +106,10 @@ class Tally:
             # Threads that finish together begin in different slabs.
             slab %= SLABS
             with self._locks[slab]:
-                _absorb(caught, pilots, edges[slab], edges[slab + 1], *sums)
+                _absorb(scored, pilots, edges[slab], edges[slab + 1], sums)
         with self._locks[0]:
-            self.ledger += ledger.sum(axis=0)
-            ledger.fill(0)
+            self.energy_budget += budget.sum(axis=0)
+            budget.fill(0)
             self.replicates += len(replicates)
 
     def merge(self, other: Tally) -> None:
@@ -118,7 +118,7 @@ class Tally:
         self.piloted += other.piloted
         self.squares.add(other.squares)
         self.count += other.count
-        self.ledger += other.ledger
+        self.energy_budget += other.energy_budget
         self.replicates += other.replicates
 
     def squared_deviations(self) -> UInt128:
@@ -127,35 +127,36 @@ class Tally:
 
 
 @njit(cache=True, nogil=True)
-def _absorb(caught, pilots, first, last, total, piloted, high, low, hits):
-    orders, _, members, width = caught.shape
+def _absorb(scored, pilots, first, last, sums):
+    total, piloted, high, low, counts = sums
+    orders, _, replicates, width = scored.shape
     width -= 1
     whole = np.zeros(width, np.int64)
     for place in range(first, last):
-        for member in range(members):
+        for replicate in range(replicates):
             count = 0
             for order in range(orders):
-                count += caught[order, place, member, width]
-                hits[order + 1, place] += caught[order, place, member, width]
-            hits[0, place] += count
+                count += scored[order, place, replicate, width]
+                counts[order + 1, place] += scored[order, place, replicate, width]
+            counts[0, place] += count
             if count == 0:
                 continue
             whole[:] = 0
             for order in range(orders - 1, -2, -1):
-                if order >= 0 and caught[order, place, member, width] == 0:
+                if order >= 0 and scored[order, place, replicate, width] == 0:
                     continue
                 for w in range(width):
-                    value = caught[order, place, member, w] if order >= 0 else whole[w]
+                    value = scored[order, place, replicate, w] if order >= 0 else whole[w]
                     whole[w] += value
                     total[order + 1, place, w] += value
-                    if pilots[member]:
+                    if pilots[replicate]:
                         piloted[order + 1, place, w] += value
                         square_high, square_low = _square(value)
                         before = low[order + 1, place, w]
                         low[order + 1, place, w] = before + square_low
                         high[order + 1, place, w] += square_high + uint64(low[order + 1, place, w] < before)
                 if order >= 0:
-                    caught[order, place, member] = 0
+                    scored[order, place, replicate] = 0
 
 
 @njit(cache=True, nogil=True)

@@ -4,6 +4,7 @@ import io
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -15,6 +16,8 @@ from gonio.detectors import HemisphereGrid, Klems
 
 GRID = HemisphereGrid(theta_step=5.0, phi_step=10.0)
 SCENE = gonio.Scene(ms.Gaussian(alpha=0.3, side=100.0, samples=64).build(seed=1), gonio.Conductor("Au"))
+GL = pytest.mark.needs("libegl1", "libgl1-mesa-dri")
+BY_VTK_AND_BY_MATPLOTLIB = pytest.mark.parametrize("rendered", [pytest.param(True, marks=GL), False])
 
 
 def measured(detector=GRID, progress=None, **options):

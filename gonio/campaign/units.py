@@ -281,7 +281,7 @@ def _packed(tally: Tally) -> dict[str, NDArray[Any]]:
         "pilot_squares_high": tally.squares.high,
         "pilot_squares_low": tally.squares.low,
         "count": tally.count,
-        "energy_budget": tally.ledger,
+        "energy_budget": tally.energy_budget,
         "replicates": np.array(tally.replicates),
     }
 

@@ -49,6 +49,18 @@ _CERTAIN = np.concatenate([2.0 ** ((np.arange(255) - 128) / 16), [np.inf]])
 """The slope, in units of the rms slope, that a code stands for: 4 % from one to the next, from 1/256 to 240."""
 
 
+class Ring(NamedTuple):
+    """What lies between two distances, R and 2R, from a node of a level, toward each sector."""
+
+    level: int
+    near: float
+    """R in cells."""
+    boxes: Floats
+    """(SECTORS, 4), as of `_boxes`."""
+    cells: tuple[int, int]
+    """(ny, nx) of the height field."""
+
+
 class Accelerator(NamedTuple):
     """A height field with its tables, ready to be traced."""
 
@@ -225,7 +237,8 @@ def _certified_slopes(
         near = float(1 << level + NEAR)
         part = slice(offsets[level], offsets[level + 1])
         nodes = (values[part].reshape(slopes.shape[1:]) for values in (max_mipmap, bottoms))
-        _in_rows(_ring, slopes.shape[1], *nodes, level, near, _boxes(near, 2 * near), (ny, nx), coarser, slopes)
+        ring = Ring(level, near, _boxes(near, 2 * near), (ny, nx))
+        _in_rows(_ring, slopes.shape[1], *nodes, ring, coarser, slopes)
     steepest = np.empty_like(slopes)
     _in_rows(_steepest, slopes.shape[1], heights, _sides(), steepest)
     _in_rows(_nearby, slopes.shape[1], steepest, _boxes(0.0, float(1 << BLOCK + NEAR)), (ny, nx), slopes)
@@ -233,13 +246,14 @@ def _certified_slopes(
 
 
 @kernel
-def _ring(first, last, max_mipmap, bottoms, level, near, boxes, cells, coarser, out):
+def _ring(first, last, max_mipmap, bottoms, ring, coarser, out):
     """The bound of one ring, or that of the larger ones if it is higher."""
+    level, near, boxes, cells = ring
     for k in range(out.shape[0]):
-        left, right, down, up = boxes[k]
+        box = boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3]
         for j in range(first, last):
             for i in range(out.shape[2]):
-                top = _highest(i, j, level, left, right, down, up, cells, max_mipmap)
+                top = _highest(i, j, level, box, cells, max_mipmap)
                 out[k, j, i] = max((top - bottoms[j, i]) / near, coarser[k, j >> 1, i >> 1])
 
 
@@ -248,16 +262,17 @@ def _nearby(first, last, steepest, boxes, cells, out):
     """Raise the bound of every block to the largest slope near it."""
     for k in range(out.shape[0]):
         slopes = steepest[k]
-        left, right, down, up = boxes[k]
+        box = boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3]
         for j in range(first, last):
             for i in range(out.shape[2]):
-                out[k, j, i] = max(out[k, j, i], _highest(i, j, BLOCK, left, right, down, up, cells, slopes))
+                out[k, j, i] = max(out[k, j, i], _highest(i, j, BLOCK, box, cells, slopes))
 
 
 @kernel
-def _highest(i, j, level, left, right, down, up, cells, values):
+def _highest(i, j, level, box, cells, values):
     """Largest value of the nodes in reach of node (i, j): of those that its box, moved anywhere in it, touches."""
     ny, nx = cells
+    left, right, down, up = box
     x0, x1 = math.floor((i << level) + left), math.floor(min((i + 1) << level, nx) + right)
     y0, y1 = math.floor((j << level) + down), math.floor(min((j + 1) << level, ny) + up)
     if x1 - x0 >= nx:

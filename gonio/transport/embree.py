@@ -19,9 +19,9 @@ from gonio.randomness import kernel, philox
 from gonio.tally import UNIT
 from gonio.transport.light import LAMBERTIAN, attenuate, cosine_direction, mirrored, unit
 from gonio.transport.scene import Scene
-from gonio.transport.scoring import Scores, balance, integer, score, score_apertures, total_up
+from gonio.transport.scoring import Arrivals, Scores, balance, integer, score, score_apertures, total_up
 from gonio.transport.setup import Setup
-from gonio.transport.source import incident, replicate_turn, start
+from gonio.transport.source import Replicates, incident, start
 from gonio.transport.termination import ABSORBED, ESCAPED, IN_FLIGHT, LOST, MAX_CROSSINGS, TRUNCATED
 
 WAVE = 32_768
@@ -50,7 +50,7 @@ class PathState(NamedTuple):
     struck: NDArray[np.int64]
     """Scratch: the rows of the paths that have just been reflected, and then their cosines of incidence."""
     cosines: NDArray[np.float64]
-    arrivals: NDArray[np.int64]
+    records: NDArray[np.int64]
     """Scratch: the row of every path that has just escaped, and the record of `Scores.bins` that it adds to."""
 
 
@@ -68,12 +68,14 @@ def trace(
     total = len(replicates) * paths
     ringed = bool(bins.sector_edges.size)
     state = _empty_wave(min(wave, total), len(optics.eta))
-    turns = np.array([replicate_turn(replicate, source.key) for replicate in replicates])
+    group = Replicates.of(replicates, paths, source)
+    xs, ys, zs = state.directions.T
+    arrivals = Arrivals((xs, ys, zs), state.terminations, state.weights, state.paths, state.slots, state.hits)
     active = launched = 0
     while active or launched < total:
         room = min(len(state.paths) - active, total - launched)
         if room and active <= len(state.paths) // 2:
-            _launch(state, active, launched, room, paths, replicates.start, turns, source, scene.tile)
+            _launch(state, active, launched, room, group, source, scene.tile)
             active, launched = active + room, launched + room
         found = scene.intersect(state.origins[:active], state.directions[:active], state.reach[:active])
         hits = (found["primID"], found["tfar"], found["u"], found["v"])
@@ -81,20 +83,11 @@ def trace(
             state, active, hits, (scene.normals, scene.corner_normals), scene.tile, optics, source, replicates.start
         )
         attenuate(state.struck, struck, state.cosines, optics, state.weights, state.hits, state.terminations)
-        ended = (
-            active,
-            tuple(state.directions.T),
-            state.terminations,
-            state.weights,
-            state.paths,
-            state.slots,
-            state.hits,
-        )
         if ringed:
-            score(*ended, bins, source, turns, scores.bins, state.arrivals)
+            score(active, arrivals, bins, source, group.turns, scores.bins, state.records)
         else:
-            score_apertures(*ended, bins, source, turns, scores.bins)
-        left = _settle(state, active, scene.tile, scores.ledger)
+            score_apertures(active, arrivals, bins, source, group.turns, scores.bins)
+        left = _settle(state, active, scene.tile, scores.energy_budget)
         if not advanced(active - left, active):
             return False
         active = left
@@ -122,22 +115,23 @@ def _empty_wave(size: int, wavelengths: int) -> PathState:
 
 
 @kernel
-def _launch(state, active, first, count, paths, first_replicate, turns, source, tile):
-    """Start `count` paths on the plane above the tile.
+def _launch(state, active, first, count, group, source, tile):
+    """Start `count` paths of a group of replicates, from the `first` on, on the plane above the tile.
 
-    A replicate starts one in each of `paths` equal cells along a Morton curve; all replicates of the group start in a
-    cell before the first goes on to the next.
+    A replicate starts one in each of `group.paths` equal cells along a Morton curve; all replicates of the group start
+    in a cell before the first goes on to the next.
     """
     origins, directions, weights = state.origins, state.directions, state.weights
+    turns = group.turns
     path, slot = divmod(first, turns.size)
     steady = source.source_sin2 == 0 and source.patch[1] == 0 and not source.average
     dx, dy, dz = incident(path, 0, 0.0, source)
     for i in range(active, active + count):
-        replicate = first_replicate + slot
+        replicate = group.first + slot
         # The four words of a block serve four replicates.
         if i == active or slot == 0 or replicate % 4 == 0:
             words = philox(path, path >> 32, replicate // 4, 0, source.key[0], source.key[1])
-        along_x, along_y = start(path, paths, words[replicate % 4])
+        along_x, along_y = start(path, group.paths, words[replicate % 4])
         x, y = (2 * along_x - 1) * tile.half_x, (2 * along_y - 1) * tile.half_y
         if not steady:
             dx, dy, dz = incident(path, replicate, turns[slot], source)
@@ -265,8 +259,8 @@ def _move(state, active, found, facets, tile, optics, source, first_replicate):
 
 
 @kernel
-def _settle(state, active, tile, ledger):
-    """Enter in the ledger what has ended and close up the rest at the front. Returns how many are still in flight.
+def _settle(state, active, tile, budget):
+    """Account for what has ended and close up the rest at the front. Returns how many are still in flight.
 
     What a path lost on its way is absorbed; what it still carries when it ends is truncated or lost, or has escaped.
     """
@@ -278,9 +272,9 @@ def _settle(state, active, tile, ledger):
             slot = state.slots[i]
             for w in range(weights.shape[1]):
                 carried = integer(weights[i, w])
-                ledger[slot, ABSORBED, w] += UNIT - carried
+                budget[slot, ABSORBED, w] += UNIT - carried
                 if termination >= 0:
-                    ledger[slot, termination, w] += carried
+                    budget[slot, termination, w] += carried
             continue
         for axis in range(3):
             origins[left, axis] = origins[i, axis]

@@ -24,9 +24,9 @@ from gonio.randomness import kernel, philox
 from gonio.tally import UNIT
 from gonio.transport.accelerator import BLOCK, Accelerator, horizon_sector
 from gonio.transport.light import LAMBERTIAN, attenuate, cosine_direction, mirrored
-from gonio.transport.scoring import Scores, balance, integer, score, score_apertures, total_up
+from gonio.transport.scoring import Arrivals, Scores, balance, integer, score, score_apertures, total_up
 from gonio.transport.setup import Setup
-from gonio.transport.source import Source, incident, replicate_turn, start
+from gonio.transport.source import Replicates, Source, incident, start
 from gonio.transport.termination import ABSORBED, ESCAPED, IN_FLIGHT, MAX_CROSSINGS, TRUNCATED
 
 LANES = 464
@@ -87,7 +87,7 @@ class PathState(NamedTuple):
     """Paths that look for their next hit."""
     struck: NDArray[np.int64]
     """Paths that have found it."""
-    arrivals: NDArray[np.int64]
+    records: NDArray[np.int64]
 
     @classmethod
     def of(cls, lanes: int, wavelengths: int) -> PathState:
@@ -96,10 +96,10 @@ class PathState(NamedTuple):
         i, j, triangle, paths, active, struck = (np.zeros(lanes + 1, np.int64) for _ in range(6))
         slots, hits, terminations = np.zeros(lanes, np.int32), np.zeros(lanes, np.int32), np.zeros(lanes, np.int8)
         normals, weights = np.zeros((lanes, 3)), np.zeros((lanes, wavelengths))
-        arrivals = np.zeros((lanes + 1, 2), np.int64)
+        records = np.zeros((lanes + 1, 2), np.int64)
         return cls(
             x, y, z, dx, dy, dz, way, i, j, triangle, cosines, normals, weights, paths, slots, hits, terminations,
-            active, struck, arrivals,
+            active, struck, records,
         )  # fmt: skip
 
 
@@ -143,40 +143,38 @@ def trace(
     lanes: int = LANES,
 ) -> bool:
     """As `transport.trace`, over a height field."""
-    source, optics, bins = setup
     slots = len(replicates)
-    illumination = illumination_of(source, accelerator, slots * paths)
+    illumination = illumination_of(setup.source, accelerator, slots * paths)
     at_once = max(1, min(lanes // slots, paths))
-    state = PathState.of(at_once * slots, len(optics.eta))
-    turns = np.array([replicate_turn(replicate, source.key) for replicate in replicates])
+    state = PathState.of(at_once * slots, len(setup.optics.eta))
+    group = Replicates.of(replicates, paths, setup.source)
     for first in range(0, paths, ROUNDS * at_once):
         last = min(paths, first + ROUNDS * at_once)
-        rays = _advance(
-            state, accelerator, source, illumination, optics, bins, turns, replicates.start, paths, first, last,
-            scores.bins, scores.ledger,
-        )  # fmt: skip
+        rays = _advance(state, accelerator, setup, illumination, group, first, last, scores)
         if not advanced((last - first) * slots, rays):
             return False
-    if bins.sector_edges.size:
+    if setup.bins.sector_edges.size:
         total_up(scores.bins)
     balance(scores, paths)
     return True
 
 
 @kernel
-def _advance(
-    state, accelerator, source, illumination, optics, bins, turns, first_replicate, paths, first, last, scored, ledger
-):
+def _advance(state, accelerator, setup, illumination, group, first, last, scores):
     """Follow the paths from `first` to `last` of all replicates to their ends. Returns how many rays they are."""
+    source, optics, bins = setup
+    turns = group.turns
     at_once = state.x.size // turns.size
     # The bundle that the last path belonged to, level by level: its node, and how far it is free.
     nodes, ways = np.full(accelerator.widths.size, -1), np.zeros(accelerator.widths.size)
-    directions = (state.dx, state.dy, state.dz)
+    arrivals = Arrivals(
+        (state.dx, state.dy, state.dz), state.terminations, state.weights, state.paths, state.slots, state.hits
+    )
     rays = 0
     while first < last:
         some = min(at_once, last - first)
         count = some * turns.size
-        _launch(state, first, some, paths, first_replicate, turns, source, illumination, accelerator)
+        _launch(state, first, some, group, source, illumination, accelerator)
         struck, searching = 0, count
         if illumination.vertical:
             struck, searching = _drop(state, count, accelerator), 0
@@ -193,7 +191,7 @@ def _advance(
             rays += struck
             _normals(state, struck, accelerator)
             if optics.kind == LAMBERTIAN:
-                _diffuse(state, struck, first_replicate, source)
+                _diffuse(state, struck, group.first, source)
             else:
                 _mirror(state, struck)
             spent = attenuate(
@@ -202,23 +200,18 @@ def _advance(
             searching = _search(state, struck, accelerator, spent)
             struck, near = 0, True
         if bins.sector_edges.size:
-            score(
-                count, directions, state.terminations, state.weights, state.paths, state.slots, state.hits, bins,
-                source, turns, scored, state.arrivals,
-            )  # fmt: skip
+            score(count, arrivals, bins, source, turns, scores.bins, state.records)
         else:
-            score_apertures(
-                count, directions, state.terminations, state.weights, state.paths, state.slots, state.hits, bins,
-                source, turns, scored,
-            )  # fmt: skip
-        _enter_in_ledger(state, count, ledger)
+            score_apertures(count, arrivals, bins, source, turns, scores.bins)
+        _account_for(state, count, scores.energy_budget)
         first += some
     return rays
 
 
 @kernel
-def _launch(state, first, some, paths, first_replicate, turns, source, illumination, accelerator):
+def _launch(state, first, some, group, source, illumination, accelerator):
     """Start `some` paths from `first` on in all replicates, on the plane that touches the highest point."""
+    turns = group.turns
     ny, nx = accelerator.heights.shape[0] - 1, accelerator.heights.shape[1] - 1
     x, y, dx, dy, dz = state.x, state.y, state.dx, state.dy, state.dz
     numbers, slots = state.paths, state.slots
@@ -226,11 +219,11 @@ def _launch(state, first, some, paths, first_replicate, turns, source, illuminat
     n = 0
     for path in range(first, first + some):
         for slot in range(turns.size):
-            replicate = first_replicate + slot
+            replicate = group.first + slot
             # The four words of a block serve four replicates.
             if slot == 0 or replicate % 4 == 0:
                 words = philox(path, path >> 32, replicate // 4, 0, source.key[0], source.key[1])
-            along_x, along_y = start(path, paths, words[replicate % 4])
+            along_x, along_y = start(path, group.paths, words[replicate % 4])
             x[n], y[n] = along_x * nx, along_y * ny
             if not illumination.parallel:
                 u, v, w = incident(path, replicate, turns[slot], source)
@@ -380,7 +373,7 @@ def _guess(state, count, accelerator):
     horizon_code, horizon_slope2, top = accelerator.horizon_code, accelerator.horizon_slope2, accelerator.top
     per_x, per_y = 1.0 / accelerator.spacing[0], 1.0 / accelerator.spacing[1]
     # Scratch: the way to the next guess, and on which facets the last two lay.
-    ways, facets = state.cosines, state.arrivals
+    ways, facets = state.cosines, state.records
     for n in range(count):
         ways[n] = way[n]
         facets[n, 0] = -1
@@ -412,7 +405,7 @@ def _guess(state, count, accelerator):
 def _improve(state, count, step, accelerator):
     """One step of Newton's method for every `step`-th path: meet the plane of the facet that lies under the guess."""
     x, y, dx, dy, dz, ways, facets = (
-        state.x, state.y, state.dx, state.dy, state.dz, state.cosines, state.arrivals,
+        state.x, state.y, state.dx, state.dy, state.dz, state.cosines, state.records,
     )  # fmt: skip
     heights, top = accelerator.heights, accelerator.top
     per_x, per_y = 1.0 / accelerator.spacing[0], 1.0 / accelerator.spacing[1]
@@ -640,13 +633,13 @@ def _search(state, count, accelerator, spent):
 
 
 @kernel
-def _enter_in_ledger(state, count, ledger):
+def _account_for(state, count, budget):
     """What a path lost on its way is absorbed; what it still carries when it ends has escaped or is truncated."""
     weights, slots, terminations = state.weights, state.slots, state.terminations
     for n in range(count):
         slot, termination = slots[n], terminations[n]
         for w in range(weights.shape[1]):
             carried = integer(weights[n, w])
-            ledger[slot, ABSORBED, w] += UNIT - carried
+            budget[slot, ABSORBED, w] += UNIT - carried
             if termination >= 0:
-                ledger[slot, termination, w] += carried
+                budget[slot, termination, w] += carried

@@ -47,6 +47,21 @@ class Bins(NamedTuple):
     """Of the apertures' half angle."""
 
 
+class Arrivals(NamedTuple):
+    """Paths, some of which have just escaped; one row each."""
+
+    directions: tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]
+    """x, y and z of their directions; of any length."""
+    terminations: NDArray[np.int8]
+    weights: NDArray[np.float64]
+    """(paths, wavelengths)."""
+    paths: NDArray[np.int64]
+    """Their numbers."""
+    slots: NDArray[np.int32]
+    """Which replicate of the group each belongs to."""
+    hits: NDArray[np.int32]
+
+
 class Scores(NamedTuple):
     """What every replicate of a group collected, in integers (`tally.UNIT` to a path)."""
 
@@ -54,8 +69,8 @@ class Scores(NamedTuple):
     """(orders, bins, replicates, wavelengths + 1): weights, and in the last column how many paths arrived; the last
     bin is the whole hemisphere. What is added together lies together, and so do the replicates, because what they send
     off from one place arrives in one bin."""
-    ledger: NDArray[np.int64]
-    """Absorbed, truncated, lost, (replicates, 3, wavelengths)."""
+    energy_budget: NDArray[np.int64]
+    """What did not escape: absorbed, truncated, lost, (replicates, 3, wavelengths)."""
 
     @classmethod
     def empty(cls, replicates: int, orders: int, bins: int, wavelengths: int) -> Scores:
@@ -126,18 +141,19 @@ def total_up(scored):
 
 def balance(scores: Scores, paths: int) -> None:
     """launched = escaped + absorbed + truncated + lost, exactly, or the instrument is broken."""
-    spent = scores.bins[:, -1, :, :-1].sum(axis=0) + scores.ledger.sum(axis=1)
+    spent = scores.bins[:, -1, :, :-1].sum(axis=0) + scores.energy_budget.sum(axis=1)
     if (spent != paths * UNIT).any():
-        raise ArithmeticError(f"the energy ledger does not close: {spent / UNIT} of {paths} paths accounted for")
+        raise ArithmeticError(f"the energy budget does not close: {spent / UNIT} of {paths} paths accounted for")
 
 
 @kernel
-def score(count, directions, terminations, weights, paths, slots, hits, bins, source, turns, scored, arrivals):
+def score(count, arrivals, bins, source, turns, scored, records):
     """Add the paths that have escaped, of the first `count`, to their bins of rings.
 
     First the bins are found, then a short loop adds to them: they lie far apart in memory, and so the processor can
-    wait for many of them at once.
+    wait for many of them at once. `records`, (count + 1, 2), is scratch.
     """
+    directions, terminations, weights, paths, slots, hits = arrivals
     xs, ys, zs = directions
     edges, rings, ring_bins, divisions = bins.sin2_edges, bins.rings, bins.ring_bins, bins.divisions
     sector_edges, first_sectors, width = bins.sector_edges, bins.first_sectors, weights.shape[1]
@@ -163,14 +179,14 @@ def score(count, directions, terminations, weights, paths, slots, hits, bins, so
         place = ring_bins[ring] + sector
         place = place if place < ring_bins[ring + 1] else ring_bins[ring]
         order = min(hits[i], scored.shape[0]) - 1
-        arrivals[arrived, 0], arrivals[arrived, 1] = i, (order * scored.shape[1] + place) * turns.size + slots[i]
+        records[arrived, 0], records[arrived, 1] = i, (order * scored.shape[1] + place) * turns.size + slots[i]
         arrived += 1
-    records = scored.reshape(-1, width + 1)
+    sums = scored.reshape(-1, width + 1)
     for j in range(arrived):
-        row, record = np.uint64(arrivals[j, 0]), np.uint64(arrivals[j, 1])
+        row, record = np.uint64(records[j, 0]), np.uint64(records[j, 1])
         for w in range(width):
-            records[record, w] += integer(weights[row, w])
-        records[record, width] += 1
+            sums[record, w] += integer(weights[row, w])
+        sums[record, width] += 1
 
 
 @kernel
@@ -194,8 +210,9 @@ def integer(weight):
 
 
 @kernel
-def score_apertures(count, directions, terminations, weights, paths, slots, hits, bins, source, turns, scored):
+def score_apertures(count, arrivals, bins, source, turns, scored):
     """Add the paths that have escaped to every aperture that sees them, and to the whole hemisphere."""
+    directions, terminations, weights, paths, slots, hits = arrivals
     xs, ys, zs = directions
     axes, width = bins.axes, weights.shape[1]
     for i in range(count):

@@ -9,7 +9,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 from numba import uint64
+from numpy.typing import NDArray
 
 from gonio.randomness import WORD, kernel, philox, uniform
 
@@ -31,6 +33,23 @@ class Source(NamedTuple):
     """Whether every path turns the surface by its own angle."""
     key: tuple[int, int]
     """Two 32-bit words that set this incidence's random numbers apart."""
+
+
+class Replicates(NamedTuple):
+    """Replicates that are traced side by side."""
+
+    first: int
+    """The number of the first of them."""
+    turns: NDArray[np.float64]
+    """Where the sequence of surface angles of each starts, in turns."""
+    paths: int
+    """How many paths each has."""
+
+    @classmethod
+    def of(cls, replicates: range, paths: int, source: Source) -> Replicates:
+        """Those of `replicates`, lit by `source`."""
+        turns = np.array([replicate_turn(replicate, source.key) for replicate in replicates])
+        return cls(replicates.start, turns, paths)
 
 
 @kernel

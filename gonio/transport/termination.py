@@ -11,7 +11,7 @@ MAX_CROSSINGS = 10_000
 
 
 ABSORBED, TRUNCATED, LOST = 0, 1, 2
-"""Rows of the ledger: where light goes that does not escape."""
+"""Rows of the energy budget: where light goes that does not escape."""
 
 
 IN_FLIGHT, ESCAPED = -2, -1
@@ -19,4 +19,4 @@ IN_FLIGHT, ESCAPED = -2, -1
 
 
 NEGLIGIBLE = 1e-9
-"""A path whose largest weight is below this stops; what it carried is in the ledger as truncated."""
+"""A path whose largest weight is below this stops; what it carried is in the energy budget as truncated."""

@@ -249,6 +249,11 @@ def test_one_file_holds_the_same(published, finished, tmp_path):
         assert one[name].attrs.get("units") == many[name].attrs.get("units")
         assert one[name].attrs.get("long_name") == many[name].attrs.get("long_name")
     one.close()
+
+
+@pytest.mark.needs("netcdf-bin")
+def test_the_netcdf_library_itself_reads_the_one_file(finished, tmp_path):
+    path = publish(finished, tmp_path / "one", ABOUT, single=True)
     header = subprocess.run(["ncdump", "-h", path / "campaign.nc"], capture_output=True, text=True, check=True).stdout
     assert "brdf(surface_alpha, material_name, order, theta_i, phi_i, theta_o, dphi, wavelength)" in header
 

@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from IPython.core.formatters import DisplayFormatter
 
 import gonio
 import microsurfaces as ms
@@ -147,7 +148,6 @@ def test_a_sketch_has_the_source_on_the_left_and_lobes_in_the_plane():
 
 
 def test_lobes_turn_and_have_a_slider(measurement):
-    pytest.importorskip("plotly")
     figure = interactive(measurement, 450.0)
     steps = figure.layout.sliders[0].steps
     assert [step.label for step in steps] == ["10°, 0°", "50°, 0°"]
@@ -172,7 +172,6 @@ def test_lobes_turn_and_have_a_slider(measurement):
 
 def test_a_diffuser_is_half_a_ball_of_light():
     """BRDF times cosine of a Lambertian is a sphere that touches the plane: its radius is the cosine."""
-    pytest.importorskip("plotly")
     grid = HemisphereGrid(5.0, 10.0)
     table = Lambert(reflectance=0.5).average([0, 0, 1], grid, [550.0]).reshape(1, 1, *grid.shape, 1)
     figure = interactive(tabulated(table, grid, 0.0, 0.0, 550.0, attributes={"title": "a <b> & $"}))
@@ -195,8 +194,7 @@ def test_what_cannot_turn_is_told(measurement, monkeypatch):
 
 
 def test_ipython_shows_the_cards(measurement):
-    formatters = pytest.importorskip("IPython.core.formatters")
-    formatter = formatters.DisplayFormatter()
+    formatter = DisplayFormatter()
     formatter.active_types = ["text/html", "text/plain"]
     for thing in (measurement, RELIEF, experiment()):
         shown, _ = formatter.format(thing)

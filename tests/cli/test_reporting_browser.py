@@ -1,14 +1,10 @@
-"""The report in a browser: it shows what it should.
-
-These tests need Chromium and its driver (Debian: chromium, chromium-driver), and nothing else.
-"""
+"""The report in a browser: it shows what it should. Chromium and its driver are all that these tests need."""
 
 from __future__ import annotations
 
 import base64
 import io
 import json
-import shutil
 import socket
 import subprocess
 import time
@@ -22,9 +18,7 @@ import pytest
 from PIL import Image
 from report_pages import Reader, whole_report
 
-browser_is_there = pytest.mark.skipif(
-    not (shutil.which("chromium") and shutil.which("chromedriver")), reason="needs chromium and chromium-driver"
-)
+IN_A_BROWSER = pytest.mark.needs("chromium-driver")
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--enable-unsafe-swiftshader")
 
 
@@ -127,7 +121,7 @@ def curve(browser: Browser, name: str) -> dict[float, float]:
     return {a: v for a, v in zip(x, y, strict=True) if v is not None}
 
 
-@browser_is_there
+@IN_A_BROWSER
 def test_a_browser_shows_what_was_chosen(shown: Browser, page: Path) -> None:
     browser = shown
     data = Reader(page).data
@@ -167,7 +161,7 @@ def test_a_browser_shows_what_was_chosen(shown: Browser, page: Path) -> None:
         browser.choose(name, value)
 
 
-@browser_is_there
+@IN_A_BROWSER
 def test_a_lobe_points_where_the_light_goes(shown: Browser) -> None:
     x, y, z = (shown.run(f"return document.getElementById('lobe').data[0].{axis}.flat()") for axis in "xyz")
     tip = int(np.argmax(np.linalg.norm([x, y, z], axis=0)))
@@ -177,7 +171,7 @@ def test_a_lobe_points_where_the_light_goes(shown: Browser) -> None:
     assert z[tip] > 0.0
 
 
-@browser_is_there
+@IN_A_BROWSER
 def test_the_mouse_turns_the_lobe_and_the_view_stays(shown: Browser) -> None:
     eye = "return document.getElementById('lobe')._fullLayout.scene._scene.getCamera().eye"
     before = shown.run(eye)
@@ -201,7 +195,7 @@ def test_the_mouse_turns_the_lobe_and_the_view_stays(shown: Browser) -> None:
     assert shown.run(eye) == pytest.approx(turned, abs=1e-6)
 
 
-@browser_is_there
+@IN_A_BROWSER
 def test_a_browser_has_nothing_to_complain_of_and_nothing_to_fetch(browser: Browser, page: Path) -> None:
     for kind in ("browser", "performance"):
         browser.log(kind)
@@ -221,7 +215,7 @@ def test_a_browser_has_nothing_to_complain_of_and_nothing_to_fetch(browser: Brow
     assert drawn < 10_000
 
 
-@browser_is_there
+@IN_A_BROWSER
 def test_the_picture_has_the_colours_of_the_house(shown: Browser) -> None:
     shown.run("document.getElementById('look-around').scrollIntoView()")
     time.sleep(0.5)
@@ -231,7 +225,7 @@ def test_the_picture_has_the_colours_of_the_house(shown: Browser) -> None:
         assert (np.abs(picture - wanted).max(axis=-1) < 12).sum() > 50, colour
 
 
-@browser_is_there
+@IN_A_BROWSER
 def test_a_phone_and_paper_have_room_for_it(shown: Browser) -> None:
     try:
         shown.tool("Emulation.setDeviceMetricsOverride", width=390, height=800, deviceScaleFactor=2, mobile=True)

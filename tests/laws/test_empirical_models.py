@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 import pytest
+from adaptive_quadrature import bin_average
 from pydantic import ValidationError
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
-from test_models import adaptive
 
 from gonio.detectors import HemisphereGrid
 from gonio.models import AshikhminShirley, Lambert, OrenNayar, Ward
@@ -477,4 +477,4 @@ def test_one_bin_against_nested_quadrature(model, theta_i, ring, sector):
     index = int(np.ravel_multi_index((ring, sector), grid.shape))
     value = model.average(wi, grid)[:, 0]
     mean = value @ grid.projected_solid_angles() / np.pi
-    assert value[index] == pytest.approx(adaptive(model, wi, grid, index), rel=TOLERANCE, abs=TOLERANCE * mean)
+    assert value[index] == pytest.approx(bin_average(model, wi, grid, index), rel=TOLERANCE, abs=TOLERANCE * mean)

@@ -1,13 +1,13 @@
 """Models: reference tables, reciprocity, furnaces, limits, and bin averages to their stated tolerance."""
 
-import csv
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from adaptive_quadrature import bin_average
 from example_models import MODELS, smith
 from pydantic import TypeAdapter, ValidationError
+from specimens import GRID, reference_table
 
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.models import (
@@ -33,8 +33,6 @@ from gonio.sphere import direction, half_vector, rotate_z
 from microsurfaces import Cylinders, Gaussian
 from microsurfaces.recipe import members
 
-DATA = Path(__file__).parents[1] / "data"
-
 ELSEWHERE = {"SmithMultipleScattering"}
 """Models that are random, and tested by themselves."""
 MATERIALS = {
@@ -57,14 +55,14 @@ def pairs(count, seed=1):
     return direction(theta[:, 0], phi[:, 0]), direction(theta[:, 1], phi[:, 1])
 
 
-def albedo(model, theta_i, grid=HemisphereGrid(5.0, 15.0), wavelengths=(550.0,)):  # noqa: B008 - a frozen recipe
+def albedo(model, theta_i, grid=GRID, wavelengths=(550.0,)):
     return grid.projected_solid_angles() @ model.average(direction(theta_i, 20.0), grid, wavelengths)
 
 
 # --- Values -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("row", list(csv.DictReader((DATA / "table_ct.csv").read_text().splitlines())))
+@pytest.mark.parametrize("row", reference_table("table_ct"))
 def test_reference_table(row):
     wi, wo = direction(float(row["th_l"]), float(row["ph_l"])), direction(float(row["th_v"]), float(row["ph_v"]))
     wh, m, material = half_vector(wi, wo), float(row["m"]), MATERIALS[row["Fresnel"]]
@@ -88,7 +86,7 @@ EXTRA = {
 }
 
 
-@pytest.mark.parametrize("row", list(csv.DictReader((DATA / "table_ct_extra.csv").read_text().splitlines())))
+@pytest.mark.parametrize("row", reference_table("table_ct_extra"))
 def test_reference_table_of_anisotropy_and_scales(row):
     wi, wo = direction(float(row["th_l"]), float(row["ph_l"])), direction(float(row["th_v"]), float(row["ph_v"]))
     distribution = EXTRA[row["model"]]
@@ -332,7 +330,7 @@ def test_albedo_under_normal_light_is_one_integral(m):
 
 @pytest.mark.parametrize("alpha", [1e-3, 1e-2])
 def test_the_smoother_the_closer_to_a_mirror(alpha):
-    grid = HemisphereGrid(5.0, 15.0)
+    grid = GRID
     for model in (CookTorrance(m=alpha, material=Dielectric(eta=1.5)), smith(alpha, Dielectric(eta=1.5))):
         value = model.average(direction(30.0, 20.0), grid)[:, 0] * grid.projected_solid_angles()
         mirror = np.ravel_multi_index((6, 12), grid.shape)
@@ -341,23 +339,6 @@ def test_the_smoother_the_closer_to_a_mirror(alpha):
 
 
 # --- Bin averages -----------------------------------------------------------------------------------------------------
-
-
-def adaptive(model, wi, grid, index):
-    """The average over one bin by subdividing it until a nested rule settles: slow, and nothing in common with ours."""
-    from scipy.integrate import nquad
-
-    ring, sector = np.divmod(index, grid.shape[1])
-    low, high = np.radians(grid.theta_edges[ring : ring + 2])
-    half, middle = np.radians(grid.phi_step / 2), np.radians(grid.dphi[sector] + 20.0)
-
-    def integrand(phi, theta):
-        wo = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-        return model.eval(wi, wo)[0] * np.sin(theta) * np.cos(theta)
-
-    options = {"epsabs": 1e-10, "epsrel": 1e-7, "limit": 200}
-    total = nquad(integrand, [(middle - half, middle + half), (low, high)], opts=[options, options])[0]
-    return total / grid.projected_solid_angles()[index]
 
 
 @pytest.mark.parametrize(
@@ -375,7 +356,7 @@ def test_one_bin_against_adaptive_integration(model, theta_i, ring, sector):
     index = int(np.ravel_multi_index((ring, sector), grid.shape))
     value = model.average(wi, grid)
     mean = (value[:, 0] @ grid.projected_solid_angles()) / np.pi
-    assert value[index, 0] == pytest.approx(adaptive(model, wi, grid, index), rel=TOLERANCE, abs=TOLERANCE * mean)
+    assert value[index, 0] == pytest.approx(bin_average(model, wi, grid, index), rel=TOLERANCE, abs=TOLERANCE * mean)
 
 
 @pytest.mark.parametrize("m", [0.05, 0.2, 0.6])

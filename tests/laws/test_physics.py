@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy import stats
+from specimens import GLASS, GOLD, GREEN, GRID, RGB, SPECULAR, STEEP
 from statistical import assert_equal_within_noise
 
 import microsurfaces as ms
@@ -15,10 +16,7 @@ from gonio.goniometer import Goniometer
 from gonio.tally import UNIT
 from gonio.transport.scene import Scene
 
-NAMED = [optics.Conductor(n) for n in ("Au", "Ag", "Al", "Cu", "Cr", "Fe", "Ni", "Ti", "W")]
-CLEAR = [optics.Dielectric(n) for n in ("SiO2", "N-BK7", "TiO2")]
-SPECULAR = [optics.Mirror(), *NAMED, *CLEAR, optics.Conductor(eta=1.5, k=0.0), optics.Dielectric(eta=1 / 1.5)]
-WAVELENGTHS = (450.0, 550.0, 650.0)
+INDICES = [optics.Conductor(eta=1.5, k=0.0), optics.Dielectric(eta=1 / 1.5)]
 
 
 def shares(measurement, order="all"):
@@ -30,14 +28,14 @@ def shares(measurement, order="all"):
 # ---------------------------------------------------------------------------------------------------- flat surfaces
 
 
-@pytest.mark.parametrize("material", SPECULAR, ids=repr)
+@pytest.mark.parametrize("material", [*SPECULAR, *INDICES], ids=repr)
 def test_flat_mirror_sends_fresnel_into_one_bin(material):
     theta_i, phi_i = tuple(range(90)), (0.0, 37.3, 211.0)
     grid = HemisphereGrid(theta_step=5, phi_step=5)
-    goniometer = Goniometer(theta_i=theta_i, phi_i=phi_i, paths=4, replicates=2, detector=grid, wavelengths=WAVELENGTHS)
+    goniometer = Goniometer(theta_i=theta_i, phi_i=phi_i, paths=4, replicates=2, detector=grid, wavelengths=RGB)
     measurement = goniometer.measure(Scene(ms.Flat().build(0), material), threads=1)
     light = shares(measurement)
-    expected = material.reflectance(np.cos(np.radians(theta_i)), np.array(WAVELENGTHS))
+    expected = material.reflectance(np.cos(np.radians(theta_i)), np.array(RGB))
     for i, theta in enumerate(theta_i):
         ring = np.searchsorted(grid.theta_edges, theta, side="right") - 1
         sector = 0 if theta == 0 else grid.shape[1] // 2
@@ -48,7 +46,7 @@ def test_flat_mirror_sends_fresnel_into_one_bin(material):
 @pytest.mark.parametrize("reflectance", [0.0, 0.05, 0.5, 0.8, 1.0])
 def test_flat_lambertian_is_rho_over_pi_everywhere(reflectance):
     goniometer = Goniometer(
-        theta_i=(0, 40, 80), paths=1_000_000, detector=HemisphereGrid(theta_step=10, phi_step=30), wavelengths=(550,)
+        theta_i=(0, 40, 80), paths=1_000_000, detector=HemisphereGrid(theta_step=10, phi_step=30), wavelengths=GREEN
     )
     data = goniometer.measure(Scene(ms.Flat().build(0), optics.Lambertian(reflectance)), seed=1).dataset.sel(
         order="all"
@@ -95,15 +93,13 @@ RELIEFS = {
 @pytest.mark.parametrize("name", RELIEFS)
 def test_a_lossless_surface_returns_all_light(name):
     """2 million paths for each of five incidences: nothing but restart offsets may swallow light."""
-    goniometer = Goniometer(
-        theta_i=(0, 30, 60, 80, 88), phi_i=(10,), paths=2_000_000, wavelengths=(550,), detector=HemisphereGrid(5, 15)
-    )
+    goniometer = Goniometer(theta_i=(0, 30, 60, 80, 88), phi_i=(10,), paths=2_000_000, wavelengths=GREEN, detector=GRID)
     measurement = goniometer.measure(Scene(RELIEFS[name](), optics.Mirror()), seed=2)
-    ledger = measurement.sums["energy_budget"].astype("int64")
-    astray = ledger.sel(termination="lost") + ledger.sel(termination="truncated")
-    assert (ledger.sel(termination="launched") == 2_000_000 * UNIT).all()
-    assert (ledger.sel(termination="escaped") + astray == ledger.sel(termination="launched")).all()
-    assert (ledger.sel(termination="absorbed") == 0).all()
+    budget = measurement.sums["energy_budget"].astype("int64")
+    astray = budget.sel(termination="lost") + budget.sel(termination="truncated")
+    assert (budget.sel(termination="launched") == 2_000_000 * UNIT).all()
+    assert (budget.sel(termination="escaped") + astray == budget.sel(termination="launched")).all()
+    assert (budget.sel(termination="absorbed") == 0).all()
     assert (astray / (2_000_000 * UNIT) < (1e-6 if name.startswith("gaussian") else 1e-5)).all()
     weight = measurement.sums["weight"]
     assert (weight.sel(order="all") == weight.drop_sel(order="all").sum("order")).all()
@@ -113,19 +109,19 @@ def test_a_lossless_surface_returns_all_light(name):
 @pytest.mark.parametrize(
     "material", [optics.Conductor("Cu"), optics.Dielectric("N-BK7"), optics.Lambertian(0.7)], ids=repr
 )
-def test_the_ledger_closes(material):
+def test_the_energy_budget_closes(material):
     scene = Scene(ms.Gaussian(alpha=0.8, samples=256, side=150.0).build(1), material)
     goniometer = Goniometer(theta_i=(0, 70), paths=100_000, detector=Apertures(((20.0, 30.0), (20.0, 32.0)), 4.0))
-    ledger = goniometer.measure(scene).sums["energy_budget"]
-    assert (ledger.sel(termination="launched") == ledger.drop_sel(termination="launched").sum("termination")).all()
-    assert (ledger.sel(termination="absorbed") > 0).all()
+    budget = goniometer.measure(scene).sums["energy_budget"]
+    assert (budget.sel(termination="launched") == budget.drop_sel(termination="launched").sum("termination")).all()
+    assert (budget.sel(termination="absorbed") > 0).all()
 
 
 # ------------------------------------------------------------------------------------------------- closed forms
 
 
 def test_a_right_angled_groove_returns_light_after_two_hits():
-    goniometer = Goniometer(theta_i=(0,), paths=1_000_000, wavelengths=(550,))
+    goniometer = Goniometer(theta_i=(0,), paths=1_000_000, wavelengths=GREEN)
     measurement = goniometer.measure(Scene(ms.VGrooves(angle=45).build(0), optics.Mirror()))
     albedo = measurement.dataset["albedo"].sel(theta_i=0, phi_i=0, wavelength=550)
     assert float(albedo.sel(order="2")) > 1 - 1e-5
@@ -142,9 +138,7 @@ def test_a_right_angled_groove_returns_light_after_two_hits():
 def test_single_reflections_of_mirror_cylinders(kind, distance, expected):
     """The escape fractions of reference A.6, at four projected angles."""
     relief = ms.Cylinders(profile=kind, radius=1.0, distance=distance, chords=1000).build(0)
-    goniometer = Goniometer(
-        theta_i=(0, 30, 60, 80), paths=1_000_000, wavelengths=(550,), detector=HemisphereGrid(5, 15)
-    )
+    goniometer = Goniometer(theta_i=(0, 30, 60, 80), paths=1_000_000, wavelengths=GREEN, detector=GRID)
     data = goniometer.measure(Scene(relief, optics.Mirror()), seed=3).dataset.sel(order="1")
     # Chords of 1000 per half turn move the terminator by up to a chord: 1e-4 of the light.
     np.testing.assert_allclose(data["albedo"].values.ravel(), expected, atol=2e-4)
@@ -153,7 +147,7 @@ def test_single_reflections_of_mirror_cylinders(kind, distance, expected):
 def test_reflections_inside_half_pipes():
     """Shares of one, two, three and more hits in touching half cylinders lit from above (reference A.6)."""
     relief = ms.Cylinders(profile="grooves", radius=1.0, distance=2.0, chords=1000).build(0)
-    measurement = Goniometer(paths=4_000_000, wavelengths=(550,)).measure(Scene(relief, optics.Mirror()), seed=4)
+    measurement = Goniometer(paths=4_000_000, wavelengths=GREEN).measure(Scene(relief, optics.Mirror()), seed=4)
     albedo = measurement.dataset["albedo"].values[:, 0, 0, 0]
     np.testing.assert_allclose(albedo[1:3], (0.5, 0.30902), atol=2e-4)
 
@@ -162,7 +156,7 @@ def test_reflections_inside_half_pipes():
 
 
 @pytest.mark.parametrize(("relief", "material"), [
-    (lambda: ms.Gaussian(alpha_x=0.2, alpha_y=0.5, rotation=20, samples=512, side=300.0).build(5), NAMED[0]),
+    (lambda: ms.Gaussian(alpha_x=0.2, alpha_y=0.5, rotation=20, samples=512, side=300.0).build(5), GOLD),
     (lambda: ms.Gaussian(alpha=1.0, samples=512, side=300.0).build(6), optics.Mirror()),
     (lambda: ms.Cylinders(profile="grooves", radius=1.0, distance=2.2).build(0), optics.Lambertian(0.9)),
 ], ids=("anisotropic", "multiple scattering", "interreflection"))  # fmt: skip
@@ -173,7 +167,7 @@ def test_cone_to_cone_reciprocity(relief, material):
     seen = []
     for lit, watched in ((a, b), (b, a)):
         goniometer = Goniometer(
-            theta_i=(lit[0],), phi_i=(lit[1],), beam_half_angle=half_angle, paths=4_000_000, wavelengths=WAVELENGTHS,
+            theta_i=(lit[0],), phi_i=(lit[1],), beam_half_angle=half_angle, paths=4_000_000, wavelengths=RGB,
             detector=Apertures((watched,), half_angle),
         )  # fmt: skip
         data = goniometer.measure(scene, seed=8).dataset.sel(order="all")
@@ -192,16 +186,14 @@ def noise_free_difference(one, other):
 
 
 def test_where_the_tile_is_cut_changes_nothing_but_noise():
-    relief = ms.Gaussian(alpha=0.6, samples=128, side=80.0, correlation_length=8.0).build(7)
+    relief = STEEP.build(7)
     moved = ms.HeightField(np.roll(relief.heights, (34, 58), axis=(0, 1)), relief.spacing)
     mesh = relief.mesh()
     # Every face one or more periods away from its neighbours: the same periodic surface, cut into crumbs.
     shift = np.random.default_rng(0).integers(-1, 2, (len(mesh.faces), 2)) * mesh.period
     corners = mesh.vertices[mesh.faces] + np.pad(shift, ((0, 0), (0, 1)))[:, None, :]
     crumbs = ms.Mesh(corners.reshape(-1, 3), np.arange(corners.shape[0] * 3).reshape(-1, 3), mesh.period)
-    goniometer = Goniometer(
-        theta_i=(20, 85), phi_i=(33,), paths=1_000_000, detector=HemisphereGrid(5, 15), wavelengths=(550,)
-    )
+    goniometer = Goniometer(theta_i=(20, 85), phi_i=(33,), paths=1_000_000, detector=GRID, wavelengths=GREEN)
     first, *others = (
         goniometer.measure(Scene(r, optics.Mirror()), seed=s) for s, r in enumerate((relief, moved, crumbs))
     )
@@ -218,8 +210,8 @@ def test_the_average_over_azimuths_is_isotropic():
         phi_i=(0, 77),
         azimuth="average",
         paths=1_000_000,
-        detector=HemisphereGrid(5, 15),
-        wavelengths=(550,),
+        detector=GRID,
+        wavelengths=GREEN,
     )
     measurement = goniometer.measure(Scene(relief, optics.Mirror()), seed=10)
     data = measurement.dataset.sel(order="all").isel(wavelength=0, theta_i=0)
@@ -230,12 +222,11 @@ def test_the_average_over_azimuths_is_isotropic():
 
 
 def test_a_source_cone_averages_fresnel_over_its_directions():
-    material, wavelengths = optics.Dielectric(eta=1.5), np.array([550.0])
     theta, half_angle = 70.0, 15.0
     wo, weight = cone_quadrature(np.array([theta]), np.array([0.0]), half_angle, 32)
-    expected = (weight[..., None] * material.reflectance(wo[..., 2], wavelengths)).sum()
-    goniometer = Goniometer(theta_i=(theta,), beam_half_angle=half_angle, paths=1_000_000, wavelengths=(550,))
-    albedo = goniometer.measure(Scene(ms.Flat().build(0), material), seed=11).albedo()
+    expected = (weight[..., None] * GLASS.reflectance(wo[..., 2], GREEN)).sum()
+    goniometer = Goniometer(theta_i=(theta,), beam_half_angle=half_angle, paths=1_000_000, wavelengths=GREEN)
+    albedo = goniometer.measure(Scene(ms.Flat().build(0), GLASS), seed=11).albedo()
     assert_equal_within_noise(
         float(albedo["albedo"].squeeze()), expected, float(albedo["albedo_standard_error"].squeeze()), 15
     )
@@ -261,7 +252,7 @@ def test_gaussian_surfaces_against_smith(m):
     from gonio.sphere import direction
 
     surface = ms.Gaussian(alpha=m, correlation_length=12.0, side=1024.0, samples=1024)
-    goniometer = Goniometer(theta_i=(0, 30, 60), paths=800_000, wavelengths=(550,), detector=HemisphereGrid(5, 15))
+    goniometer = Goniometer(theta_i=(0, 30, 60), paths=800_000, wavelengths=GREEN, detector=GRID)
     total, alphas = None, []
     for patch in PATCHES[m]:
         relief = surface.build(patch)
@@ -291,9 +282,7 @@ def test_the_same_bytes_for_any_threads_and_waves(by, monkeypatch):
     relief = ms.Gaussian(alpha=0.9, samples=200, side=120.0).build(1)
     scene = Scene(relief if by == "grid" else relief.mesh(), optics.Lambertian(0.9))
     assert (scene.accelerator is not None) == (by == "grid")
-    goniometer = Goniometer(
-        theta_i=(10, 70), paths=40_000, azimuth="average", beam_half_angle=2, detector=HemisphereGrid(5, 15)
-    )
+    goniometer = Goniometer(theta_i=(10, 70), paths=40_000, azimuth="average", beam_half_angle=2, detector=GRID)
     first = goniometer.measure(scene, seed=2**40, threads=1)
     assert first.sums.identical(goniometer.measure(scene, seed=2**40, threads=2).sums)
     assert not first.sums.identical(goniometer.measure(scene, seed=2**40 + 1, threads=2).sums)
@@ -328,26 +317,27 @@ def test_paths_start_uniformly_and_one_in_every_cell():
 def test_height_fields_and_meshes_are_lit_at_the_same_places():
     from gonio.transport import embree, height_field
     from gonio.transport.accelerator import Accelerator
-    from gonio.transport.source import Source
+    from gonio.transport.source import Replicates, Source
 
-    paths, members, turns, none = 4**4, 3, np.array([0.1, 0.5, 0.9]), (0.0, 0.0, 0.0)
+    paths, replicates, none = 4**4, 3, (0.0, 0.0, 0.0)
+    group = Replicates(4, np.array([0.1, 0.5, 0.9]), paths)
     relief = ms.HeightField(np.random.default_rng(1).normal(size=(6, 8)), (0.25, 0.5))
     accelerator, tile = Accelerator.of(relief), Scene(relief.mesh(), optics.Mirror()).tile
-    lamps = (
+    sources = (
         Source(0.3, 1.0, 0.0, none, False, (1, 2)),
         Source(0.3, 1.0, 0.01, none, True, (1, 2)),
         Source(0.3, 1.0, 0.0, (0.1, 0.2, 0.3), False, (1, 2)),
     )
-    for lamp in lamps:
-        wave, flight = embree._empty_wave(paths * members, 1), height_field.PathState.of(paths * members, 1)
-        beam = height_field.illumination_of(lamp, accelerator, paths * members)
-        embree._launch(wave, 0, 0, paths * members, paths, 4, turns, lamp, tile)
-        height_field._launch(flight, 0, paths, paths, 4, turns, lamp, beam, accelerator)
+    for source in sources:
+        wave, flight = embree._empty_wave(paths * replicates, 1), height_field.PathState.of(paths * replicates, 1)
+        beam = height_field.illumination_of(source, accelerator, paths * replicates)
+        embree._launch(wave, 0, 0, paths * replicates, group, source, tile)
+        height_field._launch(flight, 0, paths, group, source, beam, accelerator)
         places = np.stack([flight.x * 0.25 - 1, flight.y * 0.5 - 1.5], axis=-1)
         np.testing.assert_allclose(wave.origins[:, :2], places, atol=1e-6)
         directions = np.stack([flight.dx, flight.dy, flight.dz], axis=-1)
         np.testing.assert_allclose(wave.directions, directions, atol=1e-6)
         np.testing.assert_array_equal(wave.slots, flight.slots)
-        np.testing.assert_array_equal(wave.paths, flight.paths[: paths * members])
+        np.testing.assert_array_equal(wave.paths, flight.paths[: paths * replicates])
         assert (flight.z == accelerator.top).all()
-        assert len(np.unique(flight.x)) > 0.9 * paths * members
+        assert len(np.unique(flight.x)) > 0.9 * paths * replicates

@@ -1,13 +1,12 @@
 """Poulin and Fournier's cylinders: reference tables, ray casting in the plane, walks along the cone, limits."""
 
-import csv
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.integrate import quad
+from specimens import GRID, reference_table
 
 import microsurfaces as ms
 from gonio.detectors import Apertures, HemisphereGrid, Klems
@@ -27,9 +26,6 @@ from gonio.models.cylinders import edge_angle, shared, strip_width, visible
 from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
 from gonio.sphere import angles, direction, rotate_z
 
-DATA = Path(__file__).parents[1] / "data"
-GRID = HemisphereGrid(5.0, 15.0)
-
 
 def cylinders(local, kind="ridges", d=2.0, h=0.0, **more):
     return PoulinFournier(local=local, profile=kind, distance=d, floor_height=h, **more)
@@ -46,7 +42,7 @@ def profile(kind, d, h):
 # --- Tables -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("row", list(csv.DictReader((DATA / "table_pf.csv").read_text().splitlines())))
+@pytest.mark.parametrize("row", reference_table("table_pf"))
 def test_reference_table(row):
     kind, value = row["kind"] + "s", {name: float(x) for name, x in row.items() if name != "kind"}
     d, h = value["d"], value["h"]

@@ -9,10 +9,10 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from damages import DAMAGES
 from scipy import stats
 from statistical import LEVEL
 from synthetic import external
-from test_mutations import DAMAGES
 
 import gonio
 import microsurfaces as ms

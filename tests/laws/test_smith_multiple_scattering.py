@@ -7,6 +7,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 from scipy import stats
 from scipy.special import ndtr, ndtri
+from specimens import COARSE_GRID
 from statistical import assert_covers, assert_equal_within_noise, sidak
 
 from gonio.detectors import Apertures, HemisphereGrid, Klems
@@ -23,7 +24,6 @@ from gonio.optics import Conductor, Lambertian, Mirror
 from gonio.sphere import angles, direction, half_vector, reflect
 
 FREEDOM = BATCHES - 1
-GRID = HemisphereGrid(15.0, 30.0)
 METAL = Conductor(eta=0.2, k=1.5)
 
 SHAPES = [
@@ -127,11 +127,11 @@ def test_bins_against_the_walk_as_published(distribution, theta_i):
     """Every order, order 1 included: our depths, normals and shares against heights and rejections."""
     rng, wi, wavelengths, size = np.random.default_rng(1), direction(theta_i, 20.0), (550.0,), 2000
     walks = [np.split(x, BATCHES) for x in slow_walk(distribution, METAL, wi, BATCHES * size, rng, wavelengths)]
-    batches = np.array([binned(GRID, wi, *batch, 3) for batch in zip(*walks, strict=True)])
-    slow = batches / (size * GRID.projected_solid_angles()[:, None])
+    batches = np.array([binned(COARSE_GRID, wi, *batch, 3) for batch in zip(*walks, strict=True)])
+    slow = batches / (size * COARSE_GRID.projected_solid_angles()[:, None])
     expected, its_error = slow.mean(axis=0), slow.std(axis=0, ddof=1) / np.sqrt(BATCHES)
     model = smith(distribution, METAL, walks=200_000)
-    value, error = model.estimate(wi, GRID, wavelengths)
+    value, error = model.estimate(wi, COARSE_GRID, wavelengths)
     # A bin whose paths can be counted on fingers has no Gaussian error.
     enough = (batches > 0).sum(axis=0) >= BATCHES - 2
     assert enough[:3].any(axis=(1, 2)).all()
@@ -203,11 +203,11 @@ def test_a_mirror_returns_everything(distribution, theta_i):
 @pytest.mark.parametrize("material", [Mirror(), Conductor("Au")], ids=repr)
 def test_bins_add_up_to_the_albedo(distribution, theta_i, material):
     wi, wavelengths, seeds = direction(theta_i, 20.0), (450.0, 650.0), 16
-    found = [smith(distribution, material, 6_400, seed).estimate(wi, GRID, wavelengths) for seed in range(seeds)]
+    found = [smith(distribution, material, 6_400, seed).estimate(wi, COARSE_GRID, wavelengths) for seed in range(seeds)]
     for value, error in found:
         np.testing.assert_allclose(value[0], value[1:].sum(axis=0), rtol=1e-12)
         assert (error[1] == 0).all()
-    totals = np.einsum("b,sobw->sow", GRID.projected_solid_angles(), [value for value, _ in found])
+    totals = np.einsum("b,sobw->sow", COARSE_GRID.projected_solid_angles(), [value for value, _ in found])
     mean, scatter = totals.mean(axis=0), totals.std(axis=0, ddof=1) / np.sqrt(seeds)
     albedo, error = smith(distribution, material, seed=seeds).albedo(wi, wavelengths)
     # Order 1 is integrated to 1e-5 of itself.
@@ -374,7 +374,7 @@ def test_the_same_seed_gives_the_same_bits_on_any_number_of_threads(monkeypatch)
     model, other = smith(SHAPES[-1], METAL, 10_000, 2**40), smith(SHAPES[-1], METAL, 10_000, 2**41)
 
     def everything(model):
-        parts = model.albedo(wi), model.estimate(wi, GRID), model.eval_with_error(wi, wo)
+        parts = model.albedo(wi), model.estimate(wi, COARSE_GRID), model.eval_with_error(wi, wo)
         return np.concatenate([np.ravel(x) for part in parts for x in part])
 
     first = everything(model)
@@ -392,17 +392,17 @@ def test_shapes_and_what_is_below_the_horizon():
         assert (model.eval(wi, wo) == 0.0).all()
     assert model.eval(direction([[0.0], [40.0]]), direction([10.0, 50.0, 100.0], 60.0), two).shape == (2, 3, 2)
     np.testing.assert_array_equal(model.eval(up, up, two), model.eval_with_error(up, up, two).value[0])
-    assert model.estimate(up, GRID, two, orders=5).value.shape == (6, GRID.bins, 2)
-    np.testing.assert_array_equal(model.average(up, GRID, two), model.estimate(up, GRID, two).value[0])
+    assert model.estimate(up, COARSE_GRID, two, orders=5).value.shape == (6, COARSE_GRID.bins, 2)
+    np.testing.assert_array_equal(model.average(up, COARSE_GRID, two), model.estimate(up, COARSE_GRID, two).value[0])
     assert model.eval_with_error(up, up, two, orders=1).value.shape == (2, 2)
     for below in (down, level):
-        assert (model.average(below, GRID) == 0.0).all()
+        assert (model.average(below, COARSE_GRID) == 0.0).all()
         assert (model.albedo(below).value == 0.0).all()
     one, both = model.albedo(up, orders=1), model.albedo(up, orders=2)
     np.testing.assert_allclose(one.value, both.value[[0, 0]])
     grazing = smith(GGX(0.5), walks=1000).eval_with_error(direction(90 - 1e-9), direction(90 - 1e-10, 180.0))
     assert all(np.isfinite(x).all() for x in grazing)
-    for ask in (model.albedo, lambda *a, **b: model.estimate(a[0], GRID, **b)):
+    for ask in (model.albedo, lambda *a, **b: model.estimate(a[0], COARSE_GRID, **b)):
         with pytest.raises(ValueError, match="orders = 0 must be 1 or more"):
             ask(up, orders=0)
 

@@ -115,7 +115,6 @@ def test_a_lambertian_reads_its_albedo_over_pi_and_grey_is_grey(tmp_path):
 
 @pytest.mark.parametrize(("source", "incident"), [("isotropic", (10.0, 50.0)), ("anisotropic", (10.0, 50.0))])
 def test_radiance_makes_the_right_bsdf_of_a_set(tmp_path, source, incident):
-    pytest.importorskip("pyradiance")
     brdf = SOURCES[source]
     pab.write(brdf, tmp_path / "set.pab")
     names = (tmp_path / "set.pab").read_text().split()

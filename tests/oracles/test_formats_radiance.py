@@ -15,8 +15,6 @@ from gonio.formats.radiance.colours import WHITE
 from gonio.formats.text import numbers
 from gonio.sphere import direction, half_vector, rotate_z
 
-pytest.importorskip("pyradiance")
-
 VARIANTS = ("klems-full", "klems-half", "klems-quarter", "tensor3", "tensor4")
 COLOURS = np.array([450.0, 550.0, 650.0])
 GAINS = np.array([0.5, 0.8, 1.0])

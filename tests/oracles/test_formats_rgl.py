@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from readers.mitsuba import evaluated, mitsuba, pairs
+from readers.mitsuba import MITSUBA, evaluated, mitsuba, pairs
 
 from gonio.brdf import BRDF, NOMINAL
 from gonio.detectors import HemisphereGrid
@@ -81,6 +81,7 @@ def off(found, expected, brighter=0.01):
     return np.abs(np.log(np.maximum(found[counts], 1e-12) / expected[counts]))
 
 
+@MITSUBA
 @pytest.mark.parametrize("name", [name for name in SOURCES if name != "spectral"])
 def test_mitsuba_evaluates_the_source(files, name):
     wi, wo = pairs(quarter=SOURCES[name].isotropic)
@@ -90,6 +91,7 @@ def test_mitsuba_evaluates_the_source(files, name):
     assert np.quantile(errors, 0.95) < 0.01
 
 
+@MITSUBA
 def test_mitsuba_evaluates_spectra(files):
     wi, wo = pairs(1000, quarter=True)
     expected = SOURCES["spectral"].evaluate(wi, wo) * wo[:, 2:]
@@ -101,6 +103,7 @@ def test_mitsuba_evaluates_spectra(files):
         np.testing.assert_allclose(ours.evaluate(wi, wo)[:, four] * wo[:, 2:], found, rtol=5e-4, atol=1e-7)
 
 
+@MITSUBA
 @pytest.mark.parametrize("name", ["gold", "lambertian", "chiral", "brushed"])
 def test_we_evaluate_as_mitsuba_does(files, name):
     wi, wo = pairs(seed=8, quarter=SOURCES[name].isotropic)
@@ -108,6 +111,7 @@ def test_we_evaluate_as_mitsuba_does(files, name):
     np.testing.assert_allclose(ours, evaluated(files(name), wi, wo), rtol=5e-4, atol=1e-7)
 
 
+@MITSUBA
 @pytest.mark.parametrize("name", ["chiral", "brushed"])
 def test_the_mirror_image_is_another_brdf(files, name):
     wi, wo = pairs(quarter=SOURCES[name].isotropic)
@@ -139,6 +143,7 @@ def albedo_by(source, theta):
     return (4 * cosine * wo[:, 2] * np.repeat(solid_angle, 200))[seen] @ f
 
 
+@MITSUBA
 @pytest.mark.parametrize("name", ["smooth", "gold", "lambertian", "floor", "chiral", "brushed"])
 def test_mitsuba_samples_what_it_evaluates(files, name):
     mi = mitsuba("scalar_rgb")
@@ -159,6 +164,7 @@ def test_mitsuba_samples_what_it_evaluates(files, name):
         np.testing.assert_allclose(np.mean(weights, axis=0), albedo_by(SOURCES[name], theta), rtol=5e-3)
 
 
+@MITSUBA
 @pytest.mark.parametrize("light", [{"type": "constant"}, {"type": "directional", "direction": [0.6, 0.7, -1.0]}])
 @pytest.mark.parametrize("alpha", [0.1, 0.3])
 def test_a_sphere_looks_as_with_the_model_of_mitsuba(tmp_path, alpha, light):
@@ -187,6 +193,7 @@ def test_a_sphere_looks_as_with_the_model_of_mitsuba(tmp_path, alpha, light):
     assert np.sqrt(np.mean((found - expected) ** 2)) < noise * expected.mean()
 
 
+@MITSUBA
 def test_the_container_is_what_mitsuba_reads(files, capsys):
     mi = mitsuba("scalar_rgb")
     from mitsuba import tensor_io
@@ -286,6 +293,7 @@ def test_black_stays_black(tmp_path):
     assert (rgl.read(tmp_path / "black.bsdf").evaluate(*pairs()) == 0).all()
 
 
+@MITSUBA
 def test_wavelengths_rise_and_one_is_enough(tmp_path):
     for wavelengths in ((650.0, 450.0), (632.8,)):
         source = of(microfacets(Beckmann(alpha=0.5)), wavelengths, basis="spectrum")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from readers.mitsuba import evaluated, mitsuba, pairs
+from readers.mitsuba import MITSUBA, evaluated, mitsuba, pairs
 
 from gonio.detectors import HemisphereGrid
 from gonio.formats import rgl
@@ -37,6 +37,7 @@ def external(seed, phi_i, colours=3, jacobian=1, **shapes):
     }
 
 
+@MITSUBA
 @pytest.mark.parametrize(
     ("phi_i", "more"),
     [

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from PIL import Image
+from readers.mitsuba import MITSUBA
 
 import gonio
 from gonio import appearance, rendering
@@ -33,11 +34,6 @@ def gold(tmp_path_factory):
     return measurement, path
 
 
-@pytest.fixture
-def mitsuba():
-    pytest.importorskip("mitsuba")
-
-
 def run(capsys, *tokens):
     with pytest.raises(SystemExit) as stop:
         main([str(token) for token in tokens])
@@ -45,8 +41,9 @@ def run(capsys, *tokens):
     return stop.value.code, out, err
 
 
+@MITSUBA
 @pytest.mark.parametrize("name", ["gold", "grey"])
-def test_in_a_white_furnace_a_ball_sends_its_albedo(name, gold, mitsuba):
+def test_in_a_white_furnace_a_ball_sends_its_albedo(name, gold):
     """Of radiance 1 all around a ball sends, on average over its disc, its albedo averaged with sin 2 theta."""
     measurement = gold[0] if name == "gold" else measured(Lambert(reflectance=0.7))
     image = rendering.radiances(
@@ -60,7 +57,8 @@ def test_in_a_white_furnace_a_ball_sends_its_albedo(name, gold, mitsuba):
     assert image[inside].mean(axis=0) == pytest.approx(expected, rel=0.01)
 
 
-def test_a_traced_ball_is_the_shaded_one(gold, mitsuba):
+@MITSUBA
+def test_a_traced_ball_is_the_shaded_one(gold):
     """Nothing is reflected twice by a ball alone: both see the same source and the same sky."""
     traced = rendering.radiances(gold[1], "ball", SIZE, 256)
     shaded = appearance.sphere(gold[0], SIZE)
@@ -73,7 +71,8 @@ def test_a_traced_ball_is_the_shaded_one(gold, mitsuba):
         assert row < SIZE / 2 > column
 
 
-def test_the_sky_stands_the_right_way_round(gold, mitsuba):
+@MITSUBA
+def test_the_sky_stands_the_right_way_round(gold):
     """Red from the right, green from behind the ball, blue from above."""
 
     def sky(w):
@@ -87,7 +86,8 @@ def test_the_sky_stands_the_right_way_round(gold, mitsuba):
     assert right > 2 * left
 
 
-def test_seeds_decide_and_the_floor_has_a_shadow(gold, mitsuba):
+@MITSUBA
+def test_seeds_decide_and_the_floor_has_a_shadow(gold):
     pictures = [rendering.radiances(gold[1], "sphere", 32, 32, seed=seed) for seed in (1, 1, 2)]
     # To the rounding of sums in any order.
     np.testing.assert_allclose(pictures[0], pictures[1], rtol=1e-4)
@@ -97,7 +97,8 @@ def test_seeds_decide_and_the_floor_has_a_shadow(gold, mitsuba):
     assert floor[:, -3:].min() < 0.6 * floor[:, :3].mean()
 
 
-def test_a_measurement_its_brdf_and_its_files_give_one_picture(gold, mitsuba, tmp_path):
+@MITSUBA
+def test_a_measurement_its_brdf_and_its_files_give_one_picture(gold, tmp_path):
     measurement, bsdf = gold
     sources = (measurement, gonio.BRDF.of(measurement), gonio.save(measurement, tmp_path / "gold.nc"), bsdf)
     pictures = []
@@ -109,7 +110,8 @@ def test_a_measurement_its_brdf_and_its_files_give_one_picture(gold, mitsuba, tm
         np.testing.assert_allclose(other, pictures[0], atol=1)
 
 
-def test_the_command_writes_pictures(gold, mitsuba, tmp_path, capsys):
+@MITSUBA
+def test_the_command_writes_pictures(gold, tmp_path, capsys):
     code, out, err = run(
         capsys, "render", gold[1], "--to", tmp_path / "a.png", "--size", 24, "--spp", 4, "--scene", "cylinder"
     )
@@ -125,7 +127,8 @@ def test_the_command_writes_pictures(gold, mitsuba, tmp_path, capsys):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.exr", "a.png", "gold.nc"]
 
 
-def test_spectra_are_turned_into_colours(mitsuba, tmp_path):
+@MITSUBA
+def test_spectra_are_turned_into_colours(tmp_path):
     spectrum = gonio.BRDF(
         lambda wi, wo: GOLD.eval(wi, wo, [450.0, 550.0, 650.0]), np.array([450.0, 550.0, 650.0]), np.arange(0, 90, 10.0)
     )
@@ -152,7 +155,8 @@ def test_what_cannot_be_rendered_is_told_in_one_sentence(more, words, gold, tmp_
     assert not list(tmp_path.iterdir())
 
 
-def test_files_that_are_none_are_told(mitsuba, tmp_path, capsys):
+@MITSUBA
+def test_files_that_are_none_are_told(tmp_path, capsys):
     (tmp_path / "not.bsdf").write_text("hello")
     code, _, err = run(capsys, "render", tmp_path / "not.bsdf", "--to", tmp_path / "x.png")
     assert (code, err.count("\n")) == (2, 1)

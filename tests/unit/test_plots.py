@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from pictures import GRID, from_function, measured, pixels, where, words_of
+from pictures import BY_VTK_AND_BY_MATPLOTLIB, GRID, from_function, measured, pixels, where, words_of
 from synthetic import TRUTH, external
 
 import gonio
@@ -146,10 +146,8 @@ def test_panels_go_into_axes_of_the_callers(measurement, tmp_path):
     assert whole.get_suptitle() == ""
 
 
-@pytest.mark.parametrize("rendered", [True, False])
+@BY_VTK_AND_BY_MATPLOTLIB
 def test_lobes_go_into_axes_of_the_callers(rendered, measurement, monkeypatch):
-    if rendered and not style.can_render():
-        pytest.skip("no GL library for VTK")
     monkeypatch.setattr(style, "can_render", lambda: rendered)
     whole = Figure()
     ax = whole.subplots()

@@ -11,7 +11,7 @@ import pytest
 import pyvista
 import trimesh
 from matplotlib.colors import to_rgb
-from pictures import GRID, from_function, measured, pixels, where
+from pictures import BY_VTK_AND_BY_MATPLOTLIB, GL, GRID, from_function, measured, pixels, where
 from PIL import Image
 from synthetic import external
 
@@ -29,11 +29,9 @@ def lobe_of(data):
     return patches.scattered(data, data["brdf"].sel(order="all").values)[..., 0]
 
 
-@pytest.mark.parametrize("rendered", [True, False])
+@BY_VTK_AND_BY_MATPLOTLIB
 def test_lobes_have_the_incident_direction_left_and_the_specular_right(rendered, monkeypatch):
     """A lobe turned to dphi = 150 is bright right of the middle, by VTK as by matplotlib."""
-    if rendered and not style.can_render():
-        pytest.skip("no GL library for VTK")
     monkeypatch.setattr(style, "can_render", lambda: rendered)
     lobe = from_function(lambda t, p: np.exp(-(((t - 40) / 15) ** 2) - ((p - 150) / 20) ** 2))
     picture = pixels(plots.lobes(lobe))
@@ -123,11 +121,9 @@ def test_the_probe_survives_a_segmentation_fault(outcome, works, monkeypatch):
     assert style.can_render.__wrapped__() is works
 
 
-@pytest.mark.parametrize("rendered", [True, False])
+@BY_VTK_AND_BY_MATPLOTLIB
 def test_a_lobe_has_a_hole_where_nothing_is_known(rendered, monkeypatch):
     """Only the plane of incidence is known: of the lobe a ribbon is left."""
-    if rendered and not style.can_render():
-        pytest.skip("no GL library for VTK")
     monkeypatch.setattr(style, "can_render", lambda: rendered)
     counts = []
     for unknown in (False, GRID.dphi % 180 > 0):
@@ -263,10 +259,8 @@ def test_the_ground_is_true_to_scale_below_the_plane_and_turned_with_the_specime
     np.testing.assert_allclose(ground.turned(90.0)[..., 1], -ground.points[..., 0], atol=1e-12)
 
 
-@pytest.mark.parametrize("rendered", [True, False])
+@BY_VTK_AND_BY_MATPLOTLIB
 def test_the_ground_is_drawn_under_the_lobe(rendered, monkeypatch):
-    if rendered and not style.can_render():
-        pytest.skip("no GL library for VTK")
     monkeypatch.setattr(style, "can_render", lambda: rendered)
     made = external(Lambert(0.5), detector=GRID)
     flat = ms.HeightField(np.zeros((64, 64)), (1.0, 1.0))
@@ -377,10 +371,9 @@ def test_surfaces_have_one_pole_and_no_facet_in_a_hole():
     np.testing.assert_allclose(points[0], direction(0.0), atol=1e-12)
 
 
+@GL
 def test_a_window_shows_all_of_every_lobe(monkeypatch):
     """The view is level with its panel's height: it must be wide enough for the plane and both arrows."""
-    if not style.can_render():
-        pytest.skip("no GL library for VTK")
     shown = []
     monkeypatch.setattr("gonio.plots.lobe_scene.require_screen", lambda: None)
     monkeypatch.setattr(pyvista, "OFF_SCREEN", True)

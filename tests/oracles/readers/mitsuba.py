@@ -5,10 +5,14 @@ import pytest
 
 from gonio.sphere import direction
 
+MITSUBA = pytest.mark.needs("libatomic1")
+"""Of tests that ask Mitsuba, whose wheel needs that library."""
+
 
 def mitsuba(variant):
-    """The module in this variant; skips the test where it is not installed."""
-    mi = pytest.importorskip("mitsuba")
+    """The module in this variant."""
+    import mitsuba as mi
+
     mi.set_variant(variant)
     return mi
 

