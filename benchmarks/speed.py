@@ -143,24 +143,25 @@ def apart(ours: gonio.Measurement, theirs) -> str:  # type: ignore[no-untyped-de
 def recorded(scene: gonio.Scene, job: Callable[[], object]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Copies of everything that `job` asks `scene` for."""
     queries = []
-    ask = scene.intersect
+    traced = scene.geometry.traced
+    ask = traced.intersect
 
     def record(origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> dict[str, np.ndarray]:
         queries.append((origins.copy(), directions.copy(), reach.copy()))
         return ask(origins, directions, reach)
 
-    scene.intersect = record  # type: ignore[method-assign]
+    traced.intersect = record  # type: ignore[method-assign]
     try:
         job()
     finally:
-        scene.intersect = ask  # type: ignore[method-assign]
+        traced.intersect = ask  # type: ignore[method-assign]
     return queries
 
 
 def bare(scene: gonio.Scene, queries: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
     """Ask for all of it again."""
     with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(lambda query: scene.intersect(*query) and None, queries))
+        list(pool.map(lambda query: scene.geometry.traced.intersect(*query) and None, queries))
 
 
 def cells(times: dict[str, Times]) -> list[str]:

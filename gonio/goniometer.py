@@ -188,7 +188,7 @@ class Goniometer:
             "goniometer": TypeAdapter(Goniometer).dump_json(self).decode(),
             "detector": TypeAdapter(Detector).dump_json(self.detector).decode(),
             "material": TypeAdapter(type(scene.material)).dump_json(scene.material).decode(),
-            "surface_statistics": json.dumps(scene.statistics.as_dict()),
+            "surface_statistics": json.dumps(scene.geometry.statistics.as_dict()),
             "facets": json.dumps(scene.relief.facets.as_dict()),
             "isotropic": int(self.azimuth == "average"),
             "interrupted": int(interrupted),

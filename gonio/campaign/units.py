@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 import hashlib
 import importlib.metadata
@@ -24,7 +23,7 @@ from gonio.goniometer import Goniometer, Incidence, Progress, empty_sums, enter
 from gonio.measurement import Measurement
 from gonio.tally import Tally, UInt128
 from gonio.toml_files import InputError
-from gonio.transport.scene import Scene
+from gonio.transport.scene import Geometry, Scene
 
 BLOCK_PATHS = 1 << 24
 """An incidence with more paths is cut into blocks of replicates, so that several workers can share it."""
@@ -202,7 +201,7 @@ class UnitRunner:
 
     store: CampaignStore
     threads: int
-    _built: tuple[str, Scene] | None = None
+    _built: tuple[str, Geometry] | None = None
 
     def measure(self, unit: Unit, experiment: Experiment, progress: Progress | None = None) -> None:
         """Measure a unit and keep its sums in the store.
@@ -243,12 +242,8 @@ class UnitRunner:
         """The specimen; the relief built last is used again, of another material, too."""
         if self._built is None or self._built[0] != unit.relief:
             self._built = None  # never two at a time
-            self._built = unit.relief, experiment.scene(unit.realisation)
-        scene = self._built[1]
-        if scene.material != experiment.material:
-            scene = copy.copy(scene)
-            scene.material = experiment.material
-        return scene
+            self._built = unit.relief, experiment.scene(unit.realisation).geometry
+        return Scene(self._built[1], experiment.material)
 
     def _replicates(self, unit: Unit, experiment: Experiment) -> int:
         """How many replicates the first realisation took; it is measured now if it was not, or is damaged."""

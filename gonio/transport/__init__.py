@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gonio.transport import embree, height_field
+from gonio.transport.accelerator import Accelerator
 from gonio.transport.scene import Scene
 from gonio.transport.scoring import Scores
 from gonio.transport.setup import Setup
@@ -31,7 +32,8 @@ def trace(
     `advanced(paths, rays)` is told after every wave what was newly done; when it returns False the group is given up,
     and so is the answer.
     """
-    if scene.accelerator is not None:
+    traced = scene.geometry.traced
+    if isinstance(traced, Accelerator):
         lanes = min(wave, height_field.LANES)
-        return height_field.trace(scene.accelerator, setup, replicates, paths, scores, advanced, lanes)
-    return embree.trace(scene, setup, replicates, paths, scores, advanced, wave)
+        return height_field.trace(traced, setup, replicates, paths, scores, advanced, lanes)
+    return embree.trace(traced, setup, replicates, paths, scores, advanced, wave)

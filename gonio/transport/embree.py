@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gonio.randomness import kernel, philox
 from gonio.tally import UNIT
 from gonio.transport.light import LAMBERTIAN, attenuate, cosine_direction, mirrored, unit
-from gonio.transport.scene import Scene
+from gonio.transport.scene import EmbreeMesh
 from gonio.transport.scoring import Arrivals, Scores, balance, integer, score, score_apertures, total_up
 from gonio.transport.setup import Setup
 from gonio.transport.source import Replicates, incident, start
@@ -55,7 +55,7 @@ class PathState(NamedTuple):
 
 
 def trace(
-    scene: Scene,
+    mesh: EmbreeMesh,
     setup: Setup,
     replicates: range,
     paths: int,
@@ -75,19 +75,19 @@ def trace(
     while active or launched < total:
         room = min(len(state.paths) - active, total - launched)
         if room and active <= len(state.paths) // 2:
-            _launch(state, active, launched, room, group, source, scene.tile)
+            _launch(state, active, launched, room, group, source, mesh.tile)
             active, launched = active + room, launched + room
-        found = scene.intersect(state.origins[:active], state.directions[:active], state.reach[:active])
+        found = mesh.intersect(state.origins[:active], state.directions[:active], state.reach[:active])
         hits = (found["primID"], found["tfar"], found["u"], found["v"])
         struck = _move(
-            state, active, hits, (scene.normals, scene.corner_normals), scene.tile, optics, source, replicates.start
+            state, active, hits, (mesh.normals, mesh.corner_normals), mesh.tile, optics, source, replicates.start
         )
         attenuate(state.struck, struck, state.cosines, optics, state.weights, state.hits, state.terminations)
         if ringed:
             score(active, arrivals, bins, source, group.turns, scores.bins, state.records)
         else:
             score_apertures(active, arrivals, bins, source, group.turns, scores.bins)
-        left = _settle(state, active, scene.tile, scores.energy_budget)
+        left = _settle(state, active, mesh.tile, scores.energy_budget)
         if not advanced(active - left, active):
             return False
         active = left

@@ -8,7 +8,7 @@ be free before it re-enters opposite, and no ray can slip through where the peri
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -45,30 +45,18 @@ class Tile(NamedTuple):
     """Restart offset along the facet normal."""
 
 
-class Scene:
-    """A relief and its material, ready to be traced.
+class EmbreeMesh:
+    """One period of a mesh and the seam around it, with Embree's acceleration structure (1 s per million triangles).
 
-    `relief` is a `HeightField` or a `Mesh`; `material` a material recipe. A height field has its own `accelerator`
-    (0.2 s per million nodes to build). For any mesh, and so for one with overhangs or walls, Embree's acceleration
-    structure is built (about 1 s per million triangles); `relief.mesh()` has Embree trace a height field too. A scene
-    can be shared by any number of measurements and threads.
+    Raises ValueError for a mesh that is not sound.
     """
 
-    def __init__(self, relief: HeightField | Mesh, material: Material) -> None:
-        self.relief = relief
-        self.material = material
-        self.accelerator = Accelerator.of(relief) if isinstance(relief, HeightField) else None
-        """The tables of a height field, None for a mesh."""
-        if self.accelerator is None:
-            self._build()
-
-    def _build(self) -> None:
-        """Check the mesh and hand it to Embree."""
-        self.mesh.check()
-        vertices, faces, repeated = _with_seam(self.mesh)
+    def __init__(self, mesh: Mesh) -> None:
+        mesh.check()
+        vertices, faces, repeated = _with_seam(mesh)
         largest = float(np.abs(vertices).max())
         offset = OFFSET * largest
-        half_x, half_y = self.mesh.period[0] / 2, self.mesh.period[1] / 2
+        half_x, half_y = mesh.period[0] / 2, mesh.period[1] / 2
         self.tile = Tile(
             half_x,
             half_y,
@@ -78,7 +66,7 @@ class Scene:
             float(vertices[:, 2].max()) + 4 * offset,
             offset,
         )
-        normals, corner_normals = self.mesh.normals().astype(np.float32), _corner_normals(self.mesh)
+        normals, corner_normals = mesh.normals().astype(np.float32), _corner_normals(mesh)
         self.normals = np.concatenate([normals, normals[repeated]])
         """Facet normals (triangles, 3), seam included."""
         self.corner_normals = np.concatenate([corner_normals, corner_normals[repeated if len(corner_normals) else []]])
@@ -87,24 +75,48 @@ class Scene:
         self._geometry = TriangleMesh(self._embree, vertices, faces)
         self.intersect(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), np.ones(1, np.float32))
 
-    @functools.cached_property
-    def mesh(self) -> Mesh:
-        """The triangles of one period."""
-        return self.relief if isinstance(self.relief, Mesh) else self.relief.mesh()
+    def intersect(self, origins: Float32s, directions: Float32s, reach: Float32s) -> dict[str, NDArray[Any]]:
+        """Closest hits of rays (n, 3), (n, 3) within the distances `reach` (n,).
+
+        Returns embreex' dictionary: primID (n,) int32, -1 for none, tfar, u and v (n,) float32, Ng (n, 3). Releases
+        the interpreter's lock, so threads may share a mesh.
+        """
+        hits: dict[str, NDArray[Any]] = self._embree.run(origins, directions, dists=reach, output=True)
+        return hits
+
+
+class Geometry:
+    """A relief, ready to be traced: heavy, and shared by any number of scenes, measurements and threads.
+
+    A height field has the tables of its own walk, an `Accelerator` (0.2 s per million nodes); any mesh, and so one with
+    overhangs or walls, goes to Embree, an `EmbreeMesh`. `relief.mesh()` has Embree trace a height field too.
+    """
+
+    def __init__(self, relief: HeightField | Mesh) -> None:
+        self.relief = relief
+        self.traced = Accelerator.of(relief) if isinstance(relief, HeightField) else EmbreeMesh(relief)
 
     @functools.cached_property
     def statistics(self) -> Statistics:
         """Statistics of the relief."""
         return self.relief.statistics()
 
-    def intersect(self, origins: Float32s, directions: Float32s, reach: Float32s) -> dict[str, NDArray]:  # type: ignore[type-arg]
-        """Closest hits of rays (n, 3), (n, 3) within the distances `reach` (n,).
 
-        Returns embreex' dictionary: primID (n,) int32, -1 for none, tfar, u and v (n,) float32, Ng (n, 3). Releases
-        the interpreter's lock, so threads may share a scene.
-        """
-        hits: dict[str, NDArray] = self._embree.run(origins, directions, dists=reach, output=True)  # type: ignore[type-arg]
-        return hits
+class Scene:
+    """A relief and what it is made of.
+
+    `relief` is a `HeightField`, a `Mesh`, or the `geometry` of another scene, which is shared then; `material` a
+    material recipe.
+    """
+
+    def __init__(self, relief: HeightField | Mesh | Geometry, material: Material) -> None:
+        self.geometry = relief if isinstance(relief, Geometry) else Geometry(relief)
+        self.material = material
+
+    @property
+    def relief(self) -> HeightField | Mesh:
+        """The relief that was built or read."""
+        return self.geometry.relief
 
 
 def _with_seam(mesh: Mesh) -> tuple[Float32s, NDArray[np.int32], NDArray[np.intp]]:

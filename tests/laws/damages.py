@@ -156,9 +156,9 @@ DAMAGES = (
     ),
     Damage(
         "normals of length 1 / nz",
-        "transport.scene.Scene._build",
-        "self.mesh.normals().astype(np.float32)",
-        "(self.mesh.normals() / self.mesh.normals()[:, 2:]).astype(np.float32)",
+        "transport.scene.EmbreeMesh.__init__",
+        "mesh.normals().astype(np.float32)",
+        "(mesh.normals() / mesh.normals()[:, 2:]).astype(np.float32)",
         laws.facets_reflect_with_fresnel_at_their_own_angle,
     ),
     Damage(
@@ -170,21 +170,21 @@ DAMAGES = (
     ),
     Damage(
         "light leaks through the edges of facets",
-        "transport.scene.Scene.intersect",
+        "transport.scene.EmbreeMesh.intersect",
         "return hits",
         "hits['primID'][np.minimum(hits['u'], hits['v']) < 1e-4] = -1\n    return hits",
         laws.a_lossless_surface_returns_all_light,
     ),
     Damage(
         "a restart offset that leaps over concave edges",
-        "transport.scene.Scene._build",
+        "transport.scene.EmbreeMesh.__init__",
         "OFFSET * largest",
         "1000 * OFFSET * largest",
         laws.steep_grooves_lose_no_light,
     ),
     Damage(
         "no restart offset",
-        "transport.scene.Scene._build",
+        "transport.scene.EmbreeMesh.__init__",
         "offset = OFFSET * largest",
         "offset = 0.0",
         laws.a_lossless_surface_returns_all_light,

@@ -14,7 +14,7 @@ from gonio.goniometer import Goniometer
 from gonio.transport import height_field, scoring
 from gonio.transport.accelerator import BLOCK, Accelerator, horizon_sector
 from gonio.transport.height_field import PathState
-from gonio.transport.scene import Scene
+from gonio.transport.scene import EmbreeMesh, Scene
 from gonio.transport.scoring import Scores
 from gonio.transport.source import Source
 from gonio.transport.termination import ESCAPED, IN_FLIGHT
@@ -39,7 +39,7 @@ def every_shortcut_is_a_proof(relief, material, setting):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(height_field, "WORTH", worth)
             proven.append(goniometer.measure(scene, seed=1, threads=1).sums)
-    scene.accelerator = without_shortcuts(scene.accelerator)
+    scene.geometry.traced = without_shortcuts(scene.geometry.traced)
     searched = goniometer.measure(scene, seed=1, threads=1).sums
     assert proven[0].identical(searched), "a guess has been accepted that is not the first hit"
     assert proven[1].identical(searched)
@@ -122,11 +122,11 @@ def first_hits_are_those_of_embree(relief):
     """Facet for facet, but where float32 cannot tell on which side of an edge a ray passes."""
     count, rng = 20_000, np.random.default_rng(4)
     ny, nx = relief.heights.shape
-    accelerator, scene = Accelerator.of(relief), Scene(tiled(relief), optics.Mirror())
+    accelerator, mesh = Accelerator.of(relief), EmbreeMesh(tiled(relief))
     x, y, directions = falling_rays(relief, count, rng)
     middle, scale = np.array([nx / 2, ny / 2, 0.0]), np.array([*relief.spacing, 1.0])
     start = (np.stack([x, y, np.full(count, accelerator.top)], axis=-1) - middle) * scale
-    found = scene.intersect(start.astype(np.float32), directions.astype(np.float32), np.full(count, 1e9, np.float32))
+    found = mesh.intersect(start.astype(np.float32), directions.astype(np.float32), np.full(count, 1e9, np.float32))
     assert (found["primID"] >= 0).all()
     u, v = found["u"].astype(float), found["v"].astype(float)
     theirs = np.minimum(np.minimum(u, v), 1 - u - v)

@@ -65,7 +65,7 @@ def test_vertical_light_meets_a_needle_from_which_nothing_is_certain():
     heights = np.zeros((512, 512))
     heights[100, 200] = 1.0
     scene = Scene(ms.HeightField(heights, (1.0, 1.0)), optics.Mirror())
-    assert scene.accelerator.horizon_code.max() == 255
+    assert scene.geometry.traced.horizon_code.max() == 255
     goniometer = Goniometer(theta_i=(0,), paths=50_000, wavelengths=(550,), detector=COARSE_GRID)
     assert goniometer.measure(scene).albedo()["albedo"].item() == 1.0
 

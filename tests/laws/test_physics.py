@@ -14,7 +14,7 @@ from gonio import optics
 from gonio.detectors import Apertures, HemisphereGrid, cone_quadrature
 from gonio.goniometer import Goniometer
 from gonio.tally import UNIT
-from gonio.transport.scene import Scene
+from gonio.transport.scene import EmbreeMesh, Scene
 
 INDICES = [optics.Conductor(eta=1.5, k=0.0), optics.Dielectric(eta=1 / 1.5)]
 
@@ -238,6 +238,9 @@ def test_a_source_cone_averages_fresnel_over_its_directions():
 # minus one, in per cent, over bins of 5 x 15 degrees with more than 10,000 counts and theta_o < 60. Six patches leave
 # noise of their own: from one set of six to the next the mean moves by 0.3 % and the rms at m = 0.2, 60 degrees lies
 # between 1.6 and 2.6 %, so the law is stated for these sets.
+BAND = 1.3
+"""Three standard errors of the difference between their six patches' mean and ours, 3 x sqrt(2) x 0.3, per cent."""
+
 PATCHES = {0.2: range(1012, 1018), 0.5: range(100, 106), 0.8: range(100, 106)}
 SMITH = {
     0.2: {0: (-0.1, 1.7), 30: (0.0, 1.8), 60: (0.1, 1.7)},
@@ -268,7 +271,7 @@ def test_gaussian_surfaces_against_smith(m):
         chosen = (row["count"].values > 10_000) & (goniometer.detector.theta[:, None] < 60)
         ratio = 100 * (row["brdf"].values[chosen] / expected[chosen] - 1)
         assert chosen.sum() > 20
-        assert abs(ratio.mean() - mean) <= 1.0, f"m {m} theta {theta}: mean {ratio.mean():.2f} %, expected {mean}"
+        assert abs(ratio.mean() - mean) <= BAND, f"m {m} theta {theta}: mean {ratio.mean():.2f} %, expected {mean}"
         assert ratio.std() <= 1.3 * rms, f"m {m} theta {theta}: rms {ratio.std():.2f} %, expected {rms}"
 
 
@@ -278,10 +281,11 @@ def test_gaussian_surfaces_against_smith(m):
 @pytest.mark.parametrize("by", ["grid", "Embree"])
 def test_the_same_bytes_for_any_threads_and_waves(by, monkeypatch):
     from gonio import transport
+    from gonio.transport.accelerator import Accelerator
 
     relief = ms.Gaussian(alpha=0.9, samples=200, side=120.0).build(1)
     scene = Scene(relief if by == "grid" else relief.mesh(), optics.Lambertian(0.9))
-    assert (scene.accelerator is not None) == (by == "grid")
+    assert isinstance(scene.geometry.traced, Accelerator) == (by == "grid")
     goniometer = Goniometer(theta_i=(10, 70), paths=40_000, azimuth="average", beam_half_angle=2, detector=GRID)
     first = goniometer.measure(scene, seed=2**40, threads=1)
     assert first.sums.identical(goniometer.measure(scene, seed=2**40, threads=2).sums)
@@ -322,7 +326,7 @@ def test_height_fields_and_meshes_are_lit_at_the_same_places():
     paths, replicates, none = 4**4, 3, (0.0, 0.0, 0.0)
     group = Replicates(4, np.array([0.1, 0.5, 0.9]), paths)
     relief = ms.HeightField(np.random.default_rng(1).normal(size=(6, 8)), (0.25, 0.5))
-    accelerator, tile = Accelerator.of(relief), Scene(relief.mesh(), optics.Mirror()).tile
+    accelerator, tile = Accelerator.of(relief), EmbreeMesh(relief.mesh()).tile
     sources = (
         Source(0.3, 1.0, 0.0, none, False, (1, 2)),
         Source(0.3, 1.0, 0.01, none, True, (1, 2)),
