@@ -172,14 +172,14 @@ def wavelengths() -> str:
 def incidences() -> str:
     """The surface and its set-up belong to the job here: once, however many incidences."""
     relief = surface(1024)
-    lamps = {n: tuple(float(90 // n * k) for k in range(n)) for n in (1, 10, 90)}
+    sources = {n: tuple(float(90 // n * k) for k in range(n)) for n in (1, 10, 90)}
 
     def job(thetas: tuple[float, ...]) -> None:
         goniometer(theta_i=thetas, paths=1_000_000, detector=gonio.HemisphereGrid(1.0, 1.0)).measure(
             gonio.Scene(relief.build(1), GOLD)
         )
 
-    times = in_turn({str(n): lambda thetas=thetas: job(thetas) for n, thetas in lamps.items()}, 2)
+    times = in_turn({str(n): lambda thetas=thetas: job(thetas) for n, thetas in sources.items()}, 2)
     mean = in_turn({"mean": lambda: [job((t,)) for t in (0.0, 30.0, 60.0, 80.0)]}, 2)["mean"].median / 4
     rows = [[n, f"{t.median:.2f}", f"{t.median / mean:.1f}"] for n, t in times.items()]
     return (

@@ -145,9 +145,9 @@ class MitsubaGoniometer:
     def _trace(self, theta_i: float, first: int, count: int, paths: int, seed: int, target: mi.Float64) -> None:
         """Trace the paths `first` to `first + count` and add them to the bins `target`."""
         theta = math.radians(theta_i)
-        lamp = mi.Vector3f(dr.opaque(mi.Float, -math.sin(theta)), 0, dr.opaque(mi.Float, -math.cos(theta)))
+        source = mi.Vector3f(dr.opaque(mi.Float, -math.sin(theta)), 0, dr.opaque(mi.Float, -math.cos(theta)))
         hits, idle, active = mi.UInt32(0), mi.UInt32(0), dr.full(mi.Bool, True, count)
-        start = Paths(self._start(first, count, paths, seed), lamp, mi.Vector3f(1), hits, idle, active)
+        start = Paths(self._start(first, count, paths, seed), source, mi.Vector3f(1), hits, idle, active)
         (end,) = dr.while_loop((start,), lambda p: p.active, lambda p: (self._step(p),), mode="symbolic")
         escaped = (end.direction.z > 0) & (end.origin.z >= self.top - self.offset)
         bins = dr.select(escaped, _bin(end.direction, end.hits), ORDERS * RINGS * SECTORS)

@@ -119,7 +119,7 @@ def projected_solid_angles() -> Floats:
 
 
 def patch(theta: float, phi: float) -> int:
-    """The patch that contains a direction, to the lamp or to the detector, degrees."""
+    """The patch that contains a direction, to the source or to the detector, degrees."""
     ring = int(np.searchsorted([high for _, high, _ in RINGS[:-1]], theta, side="right"))
     count = RINGS[ring][2]
     return sum(n for _, _, n in RINGS[:ring]) + int(np.floor(phi * count / 360 + 0.5)) % count

@@ -301,7 +301,7 @@ def _everywhere(
     """A function that is known for all directions."""
     phi_i = np.zeros(1) if isotropic else np.arange(0.0, 360.0, 15.0)
     about = {**attributes, "isotropic": int(isotropic)}
-    theta_i = np.arange(0.0, 90.0, 5.0)
+    theta_i = np.append(np.arange(0.0, 90.0, 5.0), 89.0)
     return BRDF(evaluate, wavelengths, theta_i, phi_i, isotropic, attributes=about, averages=averages)
 
 

@@ -53,18 +53,18 @@ class Measurement:
     part), `count`, `albedo`, the energy budget in shares of 1, and their bounds. An incidence that was not measured has
     `paths` 0 and NaN.
 
-    A measurement that comes from elsewhere (see `tabulated`) has the order "all" only, no count, paths and energy
+    An external measurement (see `tabulated`) has the order "all" only, no count, paths and energy
     budget, and NaN for errors that are not known.
     """
 
     sums: xr.Dataset | None
-    """Exact integer sums per incidence, in units of 2⁻³² path; the last bin is the whole hemisphere. None if it comes
-    from elsewhere."""
+    """Exact integer sums per incidence, in units of 2⁻³² path; the last bin is the whole hemisphere. None if it is
+    external."""
     attributes: dict[str, Any]
     """Provenance: goniometer, detector, material, surface_statistics, facets (JSON), seed, versions, isotropic,
     interrupted."""
     external: xr.Dataset | None = None
-    """The dataset of a measurement that comes from elsewhere."""
+    """The dataset of an external measurement."""
 
     @functools.cached_property
     def dataset(self) -> xr.Dataset:
@@ -75,7 +75,7 @@ class Measurement:
 
     @property
     def counted(self) -> xr.Dataset:
-        """`sums`; a ValueError for a measurement that comes from elsewhere."""
+        """`sums`; a ValueError for an external measurement."""
         if self.sums is None:
             raise ValueError(
                 "this measurement comes from another program's file, without the sums that gonio counted: it can be "
@@ -113,7 +113,7 @@ class Measurement:
 
     @property
     def material(self) -> Material | None:
-        """The material recipe; None if the measurement comes from elsewhere and does not tell it."""
+        """The material recipe; None if the measurement is external and does not tell it."""
         try:
             return _MATERIAL.validate_json(self.attributes["material"])
         except (KeyError, ValidationError):
@@ -123,7 +123,7 @@ class Measurement:
 
     @property
     def surface_statistics(self) -> dict[str, float | None]:
-        """Statistics of the measured relief, the mean over realisations; none of a measurement from elsewhere."""
+        """Statistics of the measured relief, the mean over realisations; none of an external measurement."""
         if self.sums is None and "surface_statistics" not in self.attributes:
             return {}
         statistics: dict[str, float | None] = json.loads(self.attributes["surface_statistics"])
@@ -216,7 +216,7 @@ class Measurement:
     def merge(self, other: Measurement) -> Measurement:
         """This measurement and that of further specimens, as one: exact, associative, commutative.
 
-        Raises ValueError if the two were not measured in the same way, or if one of them comes from elsewhere.
+        Raises ValueError if the two were not measured in the same way, or if one of them is external.
         """
         ours, theirs = self.counted, other.counted
         for name in ("detector", "goniometer", "material"):
@@ -447,7 +447,7 @@ def tabulated(
     standard_error: ArrayLike | None = None,
     attributes: Mapping[str, Any] | None = None,
 ) -> Measurement:
-    """A measurement that comes from elsewhere: a real instrument, another program, a model.
+    """An external measurement: of a real instrument, another program, a model.
 
     `brdf` holds cos-weighted bin averages in 1/sr, (theta_i, phi_i, theta_o, dphi, W), NaN where nothing is known, and
     `brdf_standard_error` theirs if they are known; the bins are those of `detector`, angles are in degrees,

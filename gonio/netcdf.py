@@ -56,14 +56,14 @@ def load(path: str | Path) -> Measurement:
                 )
             DETECTOR.validate_json(attributes["detector"])
             if "origin" in attributes:
-                return _from_elsewhere(dataset.load(), attributes)
+                return _external(dataset.load(), attributes)
         with xr.open_dataset(path, group="sums", engine="h5netcdf") as sums:
             return Measurement(sums.load(), attributes)
     except (OSError, KeyError, ValueError) as error:
         raise ValueError(f"{path}: not a measurement that gonio wrote, or it is damaged ({error})") from None
 
 
-def _from_elsewhere(dataset: xr.Dataset, attributes: Mapping[str, Any]) -> Measurement:
+def _external(dataset: xr.Dataset, attributes: Mapping[str, Any]) -> Measurement:
     """The measurement of a file without sums; KeyError or ValueError if it is none."""
     axes = ("theta_i", "phi_i", "theta_o", "dphi", "wavelength")
     brdf, error = (dataset[name].sel(order="all").transpose(*axes) for name in ("brdf", "brdf_standard_error"))

@@ -3,7 +3,7 @@
 z is up, the macroscopic normal. `wi` points to the light, `wo` to the detector: unit vectors, both AWAY from the
 surface; `wm` is a facet normal and `wh` the half vector. theta is counted from z, phi from +x counter-clockwise, both
 in degrees and only at the edges of the program. Light from `phi_i` has its specular direction at `phi_i + 180`; the
-relative azimuth `dphi = phi_o - phi_i` is 0 on the source's side and 180 on the mirror's.
+relative azimuth `dphi = phi_o - phi_i` is 0 on the source's side and 180 on the specular one.
 """
 
 from __future__ import annotations

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gonio.cli.terminal import (
     Flag,
+    Numbers,
     app,
     load_measurement,
     make_room,
@@ -21,44 +23,71 @@ from gonio.cli.terminal import (
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
+    from gonio.brdf import BRDF
+    from gonio.measurement import Measurement
+
 
 @app.command
 def export(
-    file: Path,
+    source: str,
     /,
     *,
     to: Path,
     format: str | None = None,
     isotropic: Flag = False,
+    wavelength: Numbers = (),
 ) -> None:
-    """Write a measurement in another program's format, and tell what that cost.
+    """Write a measurement or a model in another program's format, and tell what that cost.
 
-    The file is read back as its usual readers do, and compared with the
-    measurement on the measurement's own bins. gonio list shows the formats.
+    The file is read back as its usual readers do, and compared with the source on
+    the source's own bins. gonio list shows the formats.
 
     Parameters
     ----------
-    file
-        The measurement: a .nc file, or another program's file that gonio reads.
+    source
+        A .nc file, another program's file, a model such as "microfacet alpha=0.3 name=Au", or a .toml file of one.
     to
         The file to write; its suffix decides the format.
     format
         A format that decides instead, such as exr-rgb; if not given, the first that has the suffix.
     isotropic
-        Declare that the surface looks the same from every incident azimuth.
+        Declare that the measured surface looks the same from every incident azimuth.
+    wavelength
+        Wavelengths that a model is written for, nm; 450, 550 and 650 if not given.
     """
     from gonio import formats
 
-    measurement = load_measurement(file)
+    brdf = _source(source, isotropic, wavelength)
     make_room(to)
     with telling_mistakes(), telling_refusals(to):
         with working(f"writing {to}"):
-            exported = formats.export(measurement.as_isotropic() if isotropic else measurement, to, format)
+            exported = formats.export(brdf, to, format)
         print(exported.path)
         with working(f"reading {to} back"):
             sentences = (*exported.notes, exported.loss.sentence())
     for sentence in sentences:
         say(sentence)
+
+
+def _source(text: str, isotropic: bool, wavelengths: Sequence[float]) -> Measurement | BRDF:
+    """What is to be exported: the model that `text` describes, or the measurement in the file of that name."""
+    from gonio.brdf import BRDF
+    from gonio.models.specimen import is_model, models_named
+    from gonio.toml_files import InputError
+
+    file = Path(text)
+    if file.suffix == ".toml" or (not file.exists() and (is_model(text) or "=" in text)):
+        models = models_named([text])
+        if len(models) != 1:
+            raise InputError(f"{text} has {len(models)} models, and one goes into a file: leave the others out.")
+        if isotropic:
+            raise InputError("--isotropic means nothing for a model: it knows every azimuth.")
+        with telling_mistakes():
+            return BRDF.of(models[0], wavelengths or None)
+    if wavelengths:
+        raise InputError(f"--wavelength is for models; {file} is written at the wavelengths that were measured.")
+    measurement = load_measurement(file)
+    return measurement.as_isotropic() if isotropic else measurement
 
 
 @app.command(name="list")

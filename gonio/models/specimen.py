@@ -115,6 +115,15 @@ def model_class(text: str) -> type:
     return known[_plain(name)]
 
 
+def is_model(text: str) -> bool:
+    """Whether a text begins with a model's name."""
+    try:
+        model_class(text)
+    except ValueError:
+        return False
+    return True
+
+
 def _plain(name: str) -> str:
     return re.sub(r"[-_\s]", "", name).lower()
 
@@ -135,12 +144,12 @@ def _materials(cls: Any) -> list[str]:
 
 
 def _untold(cls: Any, names: Sequence[str]) -> str:
-    """The sentence that asks for parameters which a measurement from elsewhere does not tell."""
+    """The sentence that asks for parameters which nothing else tells."""
     middles = {name: float(f"{np.sqrt(low * high) or high / 4.0:.2g}") for name, (low, high) in cls.free.items()}
     wanted = " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
     example = " ".join(f"{name}={middles[name]:g}" if name in middles else f"{name}=Au" for name in names)
     what = "it" if len(names) == 1 else "them"
-    return f"this measurement does not tell {wanted} of its specimen: give {what}, such as {example}."
+    return f"nothing tells {wanted} of the specimen: give {what}, such as {example}."
 
 
 def _kind_of(material: Mapping[str, Any]) -> str:
@@ -164,16 +173,22 @@ def models_for(measurement: Measurement, names: Iterable[str] | None = None, to_
     """The models that `names` describe, or those that fit, with the measured specimen's own roughness and material.
 
     A name may have settings, "cook-torrance m=0.3 k_d=0.1", or be a TOML file with tables [[model]] that have a `kind`
-    and settings. What is not said is the specimen's; `to_fit` fills in what it does not tell, too. A measurement that
-    comes from elsewhere does not tell roughness and material, and no model speaks of light from Klems's patches: none
-    fits by itself. Raises `InputError` with a
-    sentence for each name that is none, or that cannot describe the specimen.
+    and settings. What is not said is the specimen's; `to_fit` fills in what it does not tell, too. An external
+    measurement does not tell roughness and material, and no model speaks of light from Klems's patches: none fits by
+    itself. Raises `InputError` with a sentence for each name that is none, or that cannot describe the specimen.
     """
     specimen = Specimen(measurement.surface_statistics, measurement.material, measurement.surface)
     if names is None:
         if specimen.material is None or isinstance(measurement.detector, Klems):
             return ()
         return matching(specimen.statistics, specimen.material, specimen.surface)
+    return models_named(names, specimen, to_fit)
+
+
+def models_named(
+    names: Iterable[str], specimen: Specimen = Specimen({}, None), to_fit: bool = False
+) -> tuple[Model, ...]:
+    """As `models_for`, of a `specimen`; if it is left out everything must be said."""
     models: list[Model] = []
     mistakes: list[str] = []
     for name in names:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import gonio
@@ -29,6 +30,26 @@ def test_export_writes_the_format_of_the_suffix(run: Gonio, measured: Path) -> N
     assert "Read back, albedos change by at most" in out
     assert run("export", str(measured), "--to", "toy.data", "--format", "exr")[0] == 0
     assert Path("toy.data").read_bytes()[:4] == Path("new/toy.exr").read_bytes()[:4] == b"\x76\x2f\x31\x01"
+
+
+def test_export_writes_models_like_measurements(run: Gonio) -> None:
+    model = "cook-torrance m=0.4 name=Au"
+    code, out, err = run("export", model, "--to", "model.exr", "--wavelength", "450", "633")
+    assert (code, err) == (0, "")
+    assert "albedos change by at most" in " ".join(out.split())
+    written = gonio.load("model.exr")
+    expected = gonio.BRDF.of(gonio.CookTorrance(m=0.4, material=gonio.Conductor("Au")), [450.0, 633.0])
+    np.testing.assert_allclose(gonio.BRDF.of(written).albedo(30.0), expected.albedo(30.0), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [("microfacet alpha=0.3", "nothing tells material.name"), ("microfaset m=1", "did you mean Microfacet")],
+)
+def test_export_says_what_a_model_lacks(run: Gonio, model: str, words: str) -> None:
+    code, _, err = run("export", model, "--to", "x.exr")
+    assert code == 2
+    assert words in err
 
 
 def test_list_shows_every_recipe_and_every_parameter(run: Gonio) -> None:
@@ -135,7 +156,8 @@ def test_public_names_are_all_there() -> None:
         ("check .", 2, ". is a folder: give a .nc file."),
         ("check missing.nc", 2, "missing.nc: there is no such file"),
         ("validate --case nonsense", 2, "no such case; they are V-grooves"),
-        ("export toy.toml --to x.exr", 2, "not a measurement that gonio wrote"),
+        ("export toy.toml --to x.exr", 2, "toy.toml: has no tables [[model]] with a kind"),
+        ("export NC --to x.exr --wavelength 450", 2, "is written at the wavelengths that were measured"),
         ("validate --case number --to table.html", 2, "give a name that ends with .md."),
         ("list Gausian", 2, "did you mean Gaussian?"),
     ],

@@ -141,9 +141,9 @@ def test_an_external_table_is_fitted(run: Gonio, tables: Path) -> None:
     [
         ("check NC", "comes from another program, without the sums that gonio counts"),
         ("compare NC", 'name one with --model, such as --model "cook-torrance m=0.3 material.name=Au".'),
-        ("compare NC --model cook-torrance", "does not tell m and material.name of its specimen: give them, such as"),
-        ("compare NC --model lambert", "does not tell reflectance of its specimen: give it"),
-        ("fit NC --model cook-torrance", "does not tell material.name of its specimen: give it"),
+        ("compare NC --model cook-torrance", "nothing tells m and material.name of the specimen: give them, such as"),
+        ("compare NC --model lambert", "nothing tells reflectance of the specimen: give it"),
+        ("fit NC --model cook-torrance", "nothing tells material.name of the specimen: give it"),
     ],
 )
 def test_what_a_table_does_not_tell_is_one_sentence(run: Gonio, tables: Path, tokens: str, words: str) -> None:

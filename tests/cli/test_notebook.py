@@ -64,7 +64,7 @@ def test_a_measurement_shows_lobes_and_numbers(measurement):
     assert np.hypot(*farthest) == pytest.approx(100, abs=0.2)
 
 
-def test_apertures_and_foreign_measurements_have_cards(measurement):
+def test_apertures_and_external_measurements_have_cards(measurement):
     points = measured(Apertures(directions=((20.0, 180.0),), half_angle=5.0))
     tree, _ = parsed(points)
     assert not list(tree.iter("polygon"))

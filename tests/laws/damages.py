@@ -268,7 +268,7 @@ DAMAGES = (
         laws.what_is_certain_to_escape_hits_nothing,
     ),
     Damage(
-        "certificates that end at the side of the tile",
+        "proofs that end at the side of the tile",
         "transport.accelerator._highest",
         "range(x0 // nx, x1 // nx + 1)",
         "range(0, 1)",

@@ -128,8 +128,8 @@ def seen(wm, w):
 
 def grooves(wm, share, wi, wo):
     """pi / r times the BRDF (...) of light that Lambertian grooves reflect once, the shadow at the foot as the mask."""
-    lamp, eye = np.maximum(wi @ wm.T, 0.0), np.maximum(wo @ wm.T, 0.0)
-    both = np.minimum(seen(wm, wi) * eye, seen(wm, wo) * lamp)
+    source, eye = np.maximum(wi @ wm.T, 0.0), np.maximum(wo @ wm.T, 0.0)
+    both = np.minimum(seen(wm, wi) * eye, seen(wm, wo) * source)
     return (both / wm[:, 2]) @ share / (wi[..., 2] * wo[..., 2])
 
 
@@ -193,7 +193,7 @@ def test_sigma_of_a_specimen_is_nearly_the_best(alpha):
 
 
 def diffuse_albedo(model, theta_i):
-    """Quadrature between the kinks, at the lamp's polar angle and at right angles to its azimuth."""
+    """Quadrature between the kinks, at the source's polar angle and at right angles to its azimuth."""
     theta, dtheta = gauss(np.radians([0.0, theta_i, 90.0]), 40)
     phi, dphi = gauss([0.0, math.pi / 2, math.pi], 16)
     value = model.eval(direction(theta_i), direction(np.degrees(theta)[:, None], np.degrees(phi)))[..., 0]
@@ -363,7 +363,7 @@ def test_albedo_of_the_phong_lobe_under_normal_light(n, printed):
 
 @pytest.mark.parametrize("n", [0.0, 1.0, 10.0, 300.0])
 def test_where_light_grazes_half_of_it_stays_in_the_phong_lobe(n):
-    """max() is cos theta_o there, and wi . wh cancels: what remains is half the facets, those that face the lamp."""
+    """max() is cos theta_o there, and wi . wh cancels: what remains is half the facets, those that face the source."""
     lobe = brdf_of(AshikhminShirley(n=n, specular=1.0))
     assert lobe_albedo(lobe, 89.9999, 9.0 / math.sqrt(n) if n > 10 else np.inf) == pytest.approx(0.5, rel=2e-3)
 
@@ -391,8 +391,8 @@ def test_extreme_exponents_are_finite(exponents):
     rng = np.random.default_rng(3)
     theta = np.concatenate([[0.0, 1e-9], 90 - 10 ** rng.uniform(-10, 1.9, 2000)])
     wi, wo = direction(theta, 0.0), direction(theta[::-1], rng.uniform(0, 360, theta.size))
-    for lamp, eye in ((wi, wo), (wi, wi), (wi, rotate_z(wi, 180.0))):
-        value = AshikhminShirley(**exponents, specular=0.5, reflectance=0.5).eval(lamp, eye)
+    for source, eye in ((wi, wo), (wi, wi), (wi, rotate_z(wi, 180.0))):
+        value = AshikhminShirley(**exponents, specular=0.5, reflectance=0.5).eval(source, eye)
         assert np.isfinite(value).all()
         assert (value >= 0.0).all()
 

@@ -51,7 +51,7 @@ def test_directions_are_put_into_the_bins_that_their_angles_lie_in(theta_step, p
     laws.directions_are_put_into_the_bins_that_their_angles_lie_in(theta_step, phi_step, phi_i)
 
 
-def test_guesses_are_worth_what_the_certificates_say(relief):
+def test_guesses_are_worth_what_the_proofs_say(relief):
     """The share of the blocks that see the source."""
     accelerator, rng = Accelerator.of(relief), np.random.default_rng(2)
     rows, columns = (index.ravel() << BLOCK for index in np.indices(accelerator.horizon_code.shape[:2]))
@@ -70,7 +70,7 @@ def test_vertical_light_meets_a_needle_from_which_nothing_is_certain():
     assert goniometer.measure(scene).albedo()["albedo"].item() == 1.0
 
 
-def test_certificates_are_not_idle():
+def test_proofs_are_not_idle():
     """Of light that is reflected diffusely, and of first hits at 45 degrees, most needs no search."""
     rng = np.random.default_rng(3)
     for alpha, share in ((0.1, 0.9), (0.3, 0.7), (0.5, 0.5)):

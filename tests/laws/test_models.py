@@ -273,7 +273,7 @@ def test_smith_lambda_is_the_slopes_beyond_the_line_of_sight(distribution, theta
 
 
 def test_unmasked_facets_create_energy():
-    """With G = 1 every facet that faces the lamp reflects all of its light, whatever stands before it."""
+    """With G = 1 every facet that faces the source reflects all of its light, whatever stands before it."""
     free = micro(Beckmann(0.3), Unmasked())
     wm, solid = fine_hemisphere()
     for theta in (0.0, 80.0):

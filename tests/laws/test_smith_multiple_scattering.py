@@ -263,15 +263,15 @@ PAIRS = (
 
 @pytest.mark.parametrize("distribution", SHAPES, ids=repr)
 def test_order_2_is_an_integral(distribution):
-    lamp, eye = (np.array(w) for w in zip(*PAIRS, strict=True))
-    value, error = smith(distribution, METAL, walks=100_000).eval_with_error(lamp, eye)
+    source, eye = (np.array(w) for w in zip(*PAIRS, strict=True))
+    value, error = smith(distribution, METAL, walks=100_000).eval_with_error(source, eye)
     exact = np.array([twice(distribution, METAL, *pair) for pair in PAIRS])
     coarse = np.array([twice(distribution, METAL, *pair, nodes=150) for pair in PAIRS])
     np.testing.assert_allclose(coarse, exact, rtol=3e-3)
     both = np.hypot(error[2, :, 0], np.abs(coarse - exact))
     assert_equal_within_noise(value[2, :, 0], exact, both, FREEDOM, sidak(5))
     once = Microfacet(distribution=distribution, masking=SmithCorrelated(), material=METAL)
-    np.testing.assert_allclose(value[1], once.eval(lamp, eye), rtol=1e-14)
+    np.testing.assert_allclose(value[1], once.eval(source, eye), rtol=1e-14)
     np.testing.assert_allclose(value[0], value[1:].sum(axis=0), rtol=1e-12)
     assert (error[1] == 0).all()
 

@@ -351,6 +351,6 @@ def test_models_for_an_external_measurement_must_be_told_what_it_is_made_of() ->
     with pytest.raises(InputError) as caught:
         models_for(measurement, ["CookTorrance", "Lambert"])
     assert len(caught.value.sentences) == 2
-    assert caught.value.sentences[0].startswith("CookTorrance: this measurement does not tell m and material.name")
+    assert caught.value.sentences[0].startswith("CookTorrance: nothing tells m and material.name")
     made_of_gold = external(attributes={"material": '{"kind": "Conductor", "name": "Au"}'})
     assert models_for(made_of_gold, ["cook-torrance m=0.3"]) == (gold,)

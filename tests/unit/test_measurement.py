@@ -46,8 +46,8 @@ def test_labels_and_units(specimens):
     np.testing.assert_allclose(
         data["brdf"].sel(order="all"), data["brdf"].drop_sel(order="all").sum("order"), rtol=1e-12, atol=1e-15
     )
-    ledger = specimens[0].energy_budget()
-    np.testing.assert_allclose(sum(ledger[name] for name in ledger), 1.0, rtol=1e-15)
+    budget = specimens[0].energy_budget()
+    np.testing.assert_allclose(sum(budget[name] for name in budget), 1.0, rtol=1e-15)
 
 
 def test_a_file_gives_back_the_measurement(tmp_path, specimens):
@@ -175,12 +175,12 @@ def test_apertures_and_grid_agree():
     np.testing.assert_allclose(data["albedo"].sel(order="all"), 0.6, rtol=1e-9)
 
 
-# --- From elsewhere ---------------------------------------------------------------------------------------------------
+# --- External measurements --------------------------------------------------------------------------------------------
 
 HOLE = (np.arange(19) > 15)[:, None, None]
 
 
-def elsewhere(**options):
+def made_outside(**options):
     known = {"title": "a table", "origin": "MERL file gold.binary", "isotropic": 1, "temperature": 23.5}
     return external(detector=GRID, theta_i=(0.0, 30.0, 60.0), wavelengths=(450.0, 650.0), attributes=known, **options)
 
@@ -188,8 +188,8 @@ def elsewhere(**options):
 @pytest.mark.parametrize(
     "options", [{}, {"noise": 0.1}, {"noise": 0.1, "unknown": HOLE}], ids=["exact", "errors", "holes"]
 )
-def test_a_file_gives_back_a_measurement_from_elsewhere(tmp_path, options):
-    made = elsewhere(**options)
+def test_a_file_gives_back_an_external_measurement(tmp_path, options):
+    made = made_outside(**options)
     again = load(save(made, tmp_path / "table.nc"))
     assert again.sums is None
     assert again.dataset.identical(made.dataset)
@@ -200,7 +200,7 @@ def test_a_file_gives_back_a_measurement_from_elsewhere(tmp_path, options):
 
 
 def test_a_table_has_the_albedo_of_what_is_known():
-    whole, part = elsewhere(noise=0.1), elsewhere(noise=0.1, unknown=HOLE)
+    whole, part = made_outside(noise=0.1), made_outside(noise=0.1, unknown=HOLE)
     solid = np.where(HOLE[:, 0], 0.0, GRID.projected_solid_angles().reshape(GRID.shape))[..., None]
     for made, area in ((whole, GRID.projected_solid_angles().reshape(*GRID.shape, 1)), (part, solid)):
         brdf, error = (
@@ -209,32 +209,32 @@ def test_a_table_has_the_albedo_of_what_is_known():
         np.testing.assert_allclose(made.albedo()["albedo"], (brdf * area).sum(axis=(2, 3)), rtol=1e-12)
         expected = np.sqrt(((error * area) ** 2).sum(axis=(2, 3)))
         np.testing.assert_allclose(made.albedo()["albedo_standard_error"], expected, rtol=1e-12)
-    assert elsewhere().albedo()["albedo_standard_error"].isnull().all()
+    assert made_outside().albedo()["albedo_standard_error"].isnull().all()
 
 
 def test_an_incidence_of_which_nothing_is_known_was_not_measured():
     nothing = np.zeros((3, 1, 1, 1, 2), bool)
     nothing[1, ..., 0] = True
     nothing[2] = True
-    made = elsewhere(unknown=nothing)
+    made = made_outside(unknown=nothing)
     np.testing.assert_array_equal(made.measured, [[True], [True], [False]])
     assert list(made.incidences()) == [(0.0, 0.0), (30.0, 0.0)]
     assert made.dataset["albedo"].isnull().sum() == 3
 
 
 def test_a_table_is_read_like_a_measurement():
-    made = elsewhere()
+    made = made_outside()
     np.testing.assert_array_equal(
         made.average(direction(30, 0), GRID), TRUTH.average(direction(30, 0), GRID, (450.0, 650.0))
     )
     centre = direction(35.0, 30.0 + 77.0)
     there = made.dataset["brdf"].sel(order="all", phi_i=0, theta_i=30, theta_o=35, dphi=30)
     np.testing.assert_allclose(made.eval(direction(30, 77), centre), there, rtol=1e-9)
-    assert np.isnan(elsewhere(unknown=HOLE).eval(direction(30, 77), direction(85.0, 107.0))).all()
+    assert np.isnan(made_outside(unknown=HOLE).eval(direction(30, 77), direction(85.0, 107.0))).all()
 
 
-def test_what_is_known_of_a_specimen_elsewhere():
-    made = elsewhere()
+def test_what_is_known_of_a_external_specimen():
+    made = made_outside()
     assert made.material is None
     assert made.surface is None
     assert made.facets is None
@@ -246,7 +246,7 @@ def test_what_is_known_of_a_specimen_elsewhere():
 
 
 def test_what_nobody_counted_is_refused_in_a_sentence(specimens):
-    made = elsewhere()
+    made = made_outside()
     for one, other in ((made, made), (made, specimens[0]), (specimens[0], made)):
         with pytest.raises(ValueError, match="comes from another program's file, without the sums"):
             one.merge(other)
@@ -255,7 +255,7 @@ def test_what_nobody_counted_is_refused_in_a_sentence(specimens):
 
 
 def test_channels_have_names():
-    assert elsewhere().channels == ("450 nm", "650 nm")
+    assert made_outside().channels == ("450 nm", "650 nm")
     for basis, names in (("RGB", ("R", "G", "B")), ("XYZ", ("X", "Y", "Z"))):
         assert external(wavelengths=(600.0, 550.0, 450.0), attributes={"basis": basis}).channels == names
     assert external(attributes={"basis": "Y"}).channels == ("Y",)
@@ -265,7 +265,7 @@ def test_channels_have_names():
 
 @pytest.mark.parametrize("damage", ["brdf", "brdf_standard_error", "theta_o", "detector"])
 def test_a_damaged_table_is_refused_in_a_sentence(tmp_path, damage):
-    made = elsewhere()
+    made = made_outside()
     if damage == "detector":
         data = made.dataset.assign_attrs(detector='{"kind": "HemisphereGrid", "theta_step": 10, "phi_step": 15}')
     else:

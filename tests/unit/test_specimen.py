@@ -114,7 +114,7 @@ def test_parameters_by_name():
     assert Specimen({}, Lambertian(0.5)).described("lambert") == Lambert(0.5)
 
 
-# --- A specimen from elsewhere ----------------------------------------------------------------------------------------
+# --- An external specimen --------------------------------------------------------------------------------------------
 
 UNKNOWN = Specimen({}, None)
 
@@ -143,13 +143,16 @@ def test_what_a_file_does_not_tell_can_be_said(text, model):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("cook-torrance", r"tell m and material\.name of its specimen: give them, such as m=0\.12 material\.name=Au\."),
-        ("cook-torrance m=0.3", r"tell material\.name of its specimen: give it, such as material\.name=Au\."),
+        (
+            "cook-torrance",
+            r"tells m and material\.name of the specimen: give them, such as m=0\.12 material\.name=Au\.",
+        ),
+        ("cook-torrance m=0.3", r"tells material\.name of the specimen: give it, such as material\.name=Au\."),
         ("cook-torrance material.name=Au", "roughness: give m"),
-        ("microfacet", r"tell distribution\.alpha and material\.name"),
-        ("lambert", r"tell reflectance of its specimen: give it, such as reflectance=0\.25\."),
-        ("poulin-fournier distance=3", r"tell local\.name of its specimen"),
-        ("ward", "tell alpha, specular and reflectance"),
+        ("microfacet", r"tells distribution\.alpha and material\.name"),
+        ("lambert", r"tells reflectance of the specimen: give it, such as reflectance=0\.25\."),
+        ("poulin-fournier distance=3", r"tells local\.name of the specimen"),
+        ("ward", "tells alpha, specular and reflectance"),
         ("cook-torrance m=0.3 material.name=Gold", "did you mean 'Au'"),
         ("cook-torrance m=0.3 material=Au", "must be a table whose kind is Mirror, Conductor or Dielectric"),
     ],
@@ -164,7 +167,7 @@ def test_a_fit_needs_the_material_only():
     model = UNKNOWN.described("cook-torrance material.name=Au", to_fit=True)
     assert model.material == GOLD
     assert 0.005 < model.m < 3.0
-    with pytest.raises(ValueError, match=r"does not tell material\.name of its specimen"):
+    with pytest.raises(ValueError, match=r"nothing tells material\.name of the specimen"):
         UNKNOWN.described("cook-torrance", to_fit=True)
     with pytest.raises(ValueError, match="material is missing"):
         Specimen({"beckmann_alpha": 0.25}, Lambertian()).described("cook-torrance m=0.3")
