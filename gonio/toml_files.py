@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from microsurfaces.recipe import from_toml
-
 
 class InputError(ValueError):
     """What was given cannot be run. `sentences` has one for each mistake: key, value, what was expected, what to do."""
@@ -79,3 +77,12 @@ def kind_first(table: dict[str, Any]) -> dict[str, Any]:
     """The same table with its kind on top."""
     ordered = {"kind": table["kind"]} | table if "kind" in table else table
     return {key: kind_first(value) if isinstance(value, dict) else value for key, value in ordered.items()}
+
+
+def from_toml(text: str) -> Any:
+    """`text` read as a TOML value, .5 and 5. as numbers; what is none, such as a bare word, is text."""
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return float(text) if re.fullmatch(r"[+-]?(\d+\.|\.\d+)", text) else text
+    return parsed["value"] if len(parsed) == 1 else text

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import re
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from types import UnionType
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, dataclass_transform, get_args, get_origin
@@ -212,15 +210,6 @@ def _expectation(kind: str, context: Mapping[str, Any]) -> str:
 def _choice(names: Sequence[str]) -> str:
     """'a, b or c'."""
     return " or ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
-
-
-def from_toml(text: str) -> Any:
-    """`text` read as a TOML value, .5 and 5. as numbers; what is none, such as a bare word, is text."""
-    try:
-        parsed = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
-        return float(text) if re.fullmatch(r"[+-]?(\d+\.|\.\d+)", text) else text
-    return parsed["value"] if len(parsed) == 1 else text
 
 
 def as_toml(value: object) -> str:

@@ -17,6 +17,7 @@ from cyclopts import CycloptsError
 from gonio.cli import campaigns, exchange, forecasts, judging, measuring, pictures
 from gonio.cli.terminal import RunError, app, complain
 from gonio.cli.usage import usage
+from gonio.toml_files import InputError
 
 __all__ = ["campaigns", "exchange", "forecasts", "judging", "main", "measuring", "pictures"]
 
@@ -47,8 +48,6 @@ def _attempt(tokens: Sequence[str] | None) -> int:
     except BrokenPipeError:
         return 0
     except ValueError as error:
-        from gonio.toml_files import InputError
-
         if not isinstance(error, InputError):
             raise
         return complain(2, *error.sentences)

@@ -26,6 +26,7 @@ from gonio.cli.terminal import (
     reason,
     say,
 )
+from gonio.toml_files import InputError
 
 if TYPE_CHECKING:
     from gonio.campaign.queue import State
@@ -96,7 +97,6 @@ def campaign_run(
     """
     from gonio.campaign.running import run as run_campaign
     from gonio.campaign.sweep import Campaign
-    from gonio.toml_files import InputError
 
     check_numbers(workers=(workers, 0), threads=(threads, 1))
     if scheduler is not None and (workers or threads):
@@ -179,8 +179,6 @@ def _complain_about(state: State, folder: Path) -> None:
 
 def check_numbers(**numbers: tuple[int | None, int]) -> None:
     """Raise `InputError` for an option that is below its least value; None is not given."""
-    from gonio.toml_files import InputError
-
     for name, (number, least) in numbers.items():
         if number is not None and number < least:
             raise InputError(f"--{name} {number}: must be {least} or more.")
@@ -188,8 +186,6 @@ def check_numbers(**numbers: tuple[int | None, int]) -> None:
 
 def _shard(text: str) -> tuple[int, int]:
     """(i, n) of "i/n"."""
-    from gonio.toml_files import InputError
-
     number, slash, shards = text.partition("/")
     if not (slash and number.isdecimal() and shards.isdecimal() and 1 <= int(number) <= int(shards)):
         raise InputError(f"--shard {text}: must be i/n with i from 1 to n, such as 2/7.")
@@ -367,7 +363,6 @@ def campaign_publish(
         Write one file, campaign.nc, instead of one for each measurement.
     """
     from gonio.campaign.publication import About, publish
-    from gonio.toml_files import InputError
 
     heading = title or _title_of(folder)
     if not heading:

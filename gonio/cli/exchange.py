@@ -19,6 +19,7 @@ from gonio.cli.terminal import (
     telling_refusals,
     working,
 )
+from gonio.toml_files import InputError
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -73,7 +74,6 @@ def _source(text: str, isotropic: bool, wavelengths: Sequence[float]) -> Measure
     """What is to be exported: the model that `text` describes, or the measurement in the file of that name."""
     from gonio.brdf import BRDF
     from gonio.models.specimen import is_model, models_named
-    from gonio.toml_files import InputError
 
     file = Path(text)
     if file.suffix == ".toml" or (not file.exists() and (is_model(text) or "=" in text)):
@@ -100,7 +100,6 @@ def list_(name: str | None = None, /) -> None:
         One of them, shown with its whole description; all in one line each if not given.
     """
     from gonio.formats import FORMATS
-    from gonio.toml_files import InputError
     from microsurfaces.recipe import did_you_mean
 
     catalogue = _catalogue()

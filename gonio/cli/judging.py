@@ -33,6 +33,7 @@ from gonio.cli.terminal import (
     telling_refusals,
     working,
 )
+from gonio.toml_files import InputError
 
 if TYPE_CHECKING:
     from gonio.comparison import Comparison
@@ -47,7 +48,6 @@ def models_to_compare(
 ) -> tuple[tuple[Model, ...], tuple[str, ...]]:
     """The models to compare with, and why there are none: a measurement is worth keeping all the same."""
     from gonio.models.specimen import models_for
-    from gonio.toml_files import InputError
 
     try:
         return models_for(measurement, names), ()
@@ -126,7 +126,6 @@ def compare(
     """
     from gonio import tables
     from gonio.models.specimen import models_for
-    from gonio.toml_files import InputError
 
     if not 0.0 <= relative_threshold < 1.0:
         raise InputError(
@@ -218,7 +217,6 @@ def fit(
     from gonio import tables
     from gonio.fitting import fit as fitted
     from gonio.models.specimen import models_for
-    from gonio.toml_files import InputError
 
     measurement = load_measurement(file)
     _check_fit_files(to)
@@ -239,7 +237,6 @@ def fit(
 def _check_fit_files(files: Sequence[Path]) -> None:
     """Refuse, before the fit, what no fit can be written to."""
     from gonio.plots.style import check_path
-    from gonio.toml_files import InputError
 
     for path in files:
         make_room(path)
@@ -334,7 +331,6 @@ def validate(
         A Markdown file (.md) for the table; only printed if not given.
     """
     from gonio import tables, validation
-    from gonio.toml_files import InputError
     from microsurfaces.atomic_write import atomic_write
 
     if to is not None:

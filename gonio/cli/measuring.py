@@ -33,6 +33,7 @@ from gonio.cli.terminal import (
     telling_mistakes,
     telling_refusals,
 )
+from gonio.toml_files import InputError
 
 if TYPE_CHECKING:
     from gonio.comparison import Comparison
@@ -89,7 +90,6 @@ def run(
         Print nothing but errors.
     """
     from gonio.self_check import SelfCheckReport
-    from gonio.toml_files import InputError
 
     experiment = read_experiment(config, overrides, seed)
     if threads is not None and threads < 1:

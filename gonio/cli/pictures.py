@@ -29,6 +29,7 @@ from gonio.cli.terminal import (
     telling_refusals,
     working,
 )
+from gonio.toml_files import InputError
 
 if TYPE_CHECKING:
     from gonio.experiment import Experiment
@@ -156,7 +157,6 @@ def plot(
 
 def _kind(name: str) -> str:
     """A kind of picture; `InputError` with the nearest one for anything else."""
-    from gonio.toml_files import InputError
     from microsurfaces.recipe import did_you_mean
 
     if name in KINDS:
@@ -168,8 +168,6 @@ def _kind(name: str) -> str:
 
 def _check_options(kinds: Sequence[str], options: Mapping[str, Any]) -> None:
     """Raise `InputError` for an option that none of the kinds has."""
-    from gonio.toml_files import InputError
-
     flags = {"radius": "--log or --linear"}
     for name in options:
         having = [kind for kind, names in KIND_OPTIONS.items() if name in names]
@@ -269,7 +267,6 @@ def _differences(
     """Pictures of every model's difference from a measurement; each model is compared when it is first drawn."""
     from gonio import plots
     from gonio.comparison import compare
-    from gonio.toml_files import InputError
 
     if not models:
         raise InputError(
@@ -293,8 +290,6 @@ def _placed(
     pictures: Sequence[tuple[str, Callable[..., Any]]], places: Places, home: Path
 ) -> Iterator[tuple[str, Path, Callable[..., Any]]]:
     """Pictures with the files that they go into: a single one, or .png files in a folder, which is made."""
-    from gonio.toml_files import InputError
-
     if places.to is not None:
         if places.output is not None:
             raise InputError("--to is the file of a single picture, --output the folder of several: give one of them.")
@@ -316,8 +311,6 @@ def _placed(
 
 def _draw_one(name: str, path: Path, draw: Callable[..., Any], asked: bool) -> None:
     """Draw and tell the file; what cannot be drawn is an error only if it was asked for."""
-    from gonio.toml_files import InputError
-
     try:
         with telling_refusals(path), working(f"drawing {path}"):
             draw(path)
@@ -336,7 +329,6 @@ def _experiment_behind(file: Path) -> Experiment:
     from pydantic import TypeAdapter, ValidationError
 
     from gonio.experiment import Experiment
-    from gonio.toml_files import InputError
 
     if file.suffix.lower() == ".toml":
         return Experiment.read(file)
@@ -350,7 +342,6 @@ def _experiment_behind(file: Path) -> Experiment:
 
 def _height_field(experiment: Experiment) -> HeightField:
     """The relief to draw under a lobe; `InputError` for a surface that is none."""
-    from gonio.toml_files import InputError
     from microsurfaces import HeightField
 
     relief = experiment.relief()
@@ -378,7 +369,6 @@ def report(file: Path, /, *, models: Models = (), to: Path | None = None) -> Non
     """
     from gonio.models.specimen import models_for
     from gonio.reporting import report as write
-    from gonio.toml_files import InputError
 
     measurement, page = load_measurement(file), to or file.parent / "report.html"
     if page.suffix.lower() not in (".html", ".htm"):

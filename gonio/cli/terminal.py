@@ -15,6 +15,7 @@ from cyclopts import App, Parameter
 from rich.console import Console
 
 from gonio import __version__
+from gonio.toml_files import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -83,8 +84,6 @@ def check_writable(folder: Path, option: str = "--output") -> None:
 
     Raises `InputError` where the name is that of a file, `RunError` where the system forbids it.
     """
-    from gonio.toml_files import InputError
-
     existing = next(path for path in (folder, *folder.parents) if path.exists())
     if not existing.is_dir():
         raise InputError(f"{option} {folder}: {existing} is a file, not a folder.")
@@ -105,8 +104,6 @@ def make_writable(folder: Path, option: str = "--output") -> None:
 
 def make_room(file: Path) -> None:
     """Create the folder of a file that will be written with --to; refuse a name that no file can have."""
-    from gonio.toml_files import InputError
-
     if file.is_dir():
         raise InputError(f"--to {file}: is a folder; give the name of a file.")
     make_writable(file.parent, "--to")
@@ -126,8 +123,6 @@ def telling_refusals(path: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def telling_mistakes() -> Iterator[None]:
     """Raise `InputError` in place of a ValueError about what was asked for."""
-    from gonio.toml_files import InputError
-
     try:
         yield
     except InputError:
@@ -253,8 +248,6 @@ def working(words: str) -> Iterator[None]:
 
 def refuse_folder(file: Path) -> None:
     """Raise `InputError` for a folder in place of a measurement's file."""
-    from gonio.toml_files import InputError
-
     if file.is_dir():
         within = file / "measurement.nc"
         raise InputError(f"{file} is a folder{f'; did you mean {within}?' if within.exists() else ': give a .nc file'}")

@@ -17,9 +17,9 @@ from gonio.detectors import Klems
 from gonio.models import Model, matching
 from gonio.models.parameters import BOUNDS, give_way, put, whole_name
 from gonio.optics import DIELECTRICS, Lambertian, Material
-from gonio.toml_files import InputError, kind_first, read_toml
+from gonio.toml_files import InputError, from_toml, kind_first, read_toml
 from microsurfaces.atomic_write import atomic_write
-from microsurfaces.recipe import did_you_mean, from_toml, members, parameters, sentences
+from microsurfaces.recipe import did_you_mean, members, parameters, sentences
 
 if TYPE_CHECKING:
     from gonio.measurement import Measurement
