@@ -31,6 +31,8 @@ from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
 from gonio.sphere import direction
 from gonio.transport.scene import Scene
 
+pytestmark = pytest.mark.slow
+
 WIDE = HemisphereGrid(theta_step=10.0, phi_step=20.0)
 
 

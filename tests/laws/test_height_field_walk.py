@@ -15,6 +15,8 @@ from gonio.goniometer import Goniometer
 from gonio.transport.accelerator import BLOCK, Accelerator
 from gonio.transport.scene import Scene
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(params=RELIEFS)
 def relief(request):

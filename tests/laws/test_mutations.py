@@ -4,6 +4,8 @@ import pytest
 from damages import DAMAGES
 from transport_laws import LAWS
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
 def test_the_laws_hold_for_the_tracer_as_it_is(law):

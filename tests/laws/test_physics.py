@@ -16,6 +16,8 @@ from gonio.goniometer import Goniometer
 from gonio.tally import UNIT
 from gonio.transport.scene import EmbreeMesh, Scene
 
+pytestmark = pytest.mark.slow
+
 INDICES = [optics.Conductor(eta=1.5, k=0.0), optics.Dielectric(eta=1 / 1.5)]
 
 

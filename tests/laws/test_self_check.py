@@ -24,6 +24,8 @@ from gonio.optics import Conductor, Dielectric, Lambertian, Mirror
 from gonio.self_check import SelfCheckReport, check, check_file
 from gonio.transport.scene import Scene
 
+pytestmark = pytest.mark.slow
+
 NAMES = (
     "energy budget", "orders", "values", "energy", "furnace", "lost light", "reciprocity", "normals", "resolution",
     "replicates", "realisations", "completeness", "sparse bins", "polarisation", "geometric optics",

@@ -23,6 +23,8 @@ from gonio.models.smith_multiple_scattering import (
 from gonio.optics import Conductor, Lambertian, Mirror
 from gonio.sphere import angles, direction, half_vector, reflect
 
+pytestmark = pytest.mark.slow
+
 FREEDOM = BATCHES - 1
 METAL = Conductor(eta=0.2, k=1.5)
 

@@ -14,6 +14,8 @@ from gonio.validation.judging import LEVEL, Case, bounded, judged, pooled, reduc
 from gonio.validation.unfolding import unfolded
 from microsurfaces.atomic_write import atomic_write
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 
 

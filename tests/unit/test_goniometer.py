@@ -69,6 +69,7 @@ def score(measurement, order, place, exact):
     return (value - exact) / error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target_error", [None, 0.1], ids=("paths", "target_error"))
 def test_error_bars_cover_the_truth(target_error):
     """1,000 small measurements of three cases whose exact value is known: their t-scores are Student's t."""
