@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
+from command_line import called
 from toys import TOY, UNITS, Gonio, read
 
 from gonio.campaign import results, running
 from gonio.campaign.sweep import Campaign
-from gonio.cli import main
 
 
 @pytest.fixture(scope="session")
@@ -39,15 +40,7 @@ def gonio_campaign(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Monke
     """Runs `gonio campaign`; (exit code, stdout, stderr)."""
     monkeypatch.setenv("COLUMNS", "100")
 
-    def command(*tokens: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as exit_:
-            main(("campaign", *map(str, tokens)))
-        out, err = capsys.readouterr()
-        assert isinstance(exit_.value.code, int)
-        assert "Traceback" not in err
-        return exit_.value.code, out, err
-
-    return command
+    return partial(called, capsys, "campaign")
 
 
 @pytest.fixture

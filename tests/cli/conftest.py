@@ -3,33 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import TOY, called
 from synthetic import external
 
 import gonio
-from gonio.cli import main
 from gonio.experiment import Experiment
-
-TOY = """
-title = "A toy"
-realisations = 2
-[surface]
-kind = "Gaussian"
-alpha = 0.3
-side = 100.0
-samples = 32
-[material]
-kind = "Conductor"
-name = "Au"
-[goniometer]
-theta_i = [0.0, 30.0]
-paths = 400
-replicates = 4
-detector = {kind = "HemisphereGrid", theta_step = 10.0, phi_step = 20.0}
-"""
 
 Gonio = Callable[..., tuple[int, str, str]]
 Calls = list[tuple[str, tuple[Any, ...], dict[str, Any]]]
@@ -42,15 +25,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     monkeypatch.setenv("COLUMNS", "80")
     Path("toy.toml").write_text(TOY)
 
-    def command(*tokens: str) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as exit_:
-            main(tokens)
-        out, err = capsys.readouterr()
-        assert isinstance(exit_.value.code, int)
-        assert "Traceback" not in err
-        return exit_.value.code, out, err
-
-    return command
+    return partial(called, capsys)
 
 
 @pytest.fixture

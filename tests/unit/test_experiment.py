@@ -5,6 +5,7 @@ import json
 import tomllib
 from pathlib import Path
 
+import command_line
 import numpy as np
 import pytest
 from synthetic import external
@@ -15,25 +16,9 @@ from gonio.experiment import Experiment
 from gonio.models.specimen import models_for
 from gonio.toml_files import InputError
 
-TOY = """
-title = "A toy"
-seed = 3
-realisations = 2
-[surface]
-kind = "Gaussian"
-alpha = 0.3
-side = 100.0
-samples = 32
-[material]
-kind = "Conductor"
-name = "Au"
-[goniometer]
-theta_i = [0.0, 30.0]
-wavelengths = [550.0]
-paths = 400
-replicates = 4
-detector = {kind = "HemisphereGrid", theta_step = 10.0, phi_step = 20.0}
-"""
+TOY = command_line.TOY.replace("realisations = 2", "seed = 3\nrealisations = 2").replace(
+    "paths = 400", "wavelengths = [550.0]\npaths = 400"
+)
 
 
 @pytest.fixture
