@@ -114,8 +114,7 @@ class BRDF:
         return values
 
     def albedo(self, theta_i: float, phi_i: float = 0.0) -> Floats:
-        """Directional-hemispherical reflectance (W,) for light from these angles in degrees; what is unknown is
-        dark."""
+        """Directional-hemispherical reflectance (W,) for light from these angles, degrees; what is unknown is dark."""
         means = self.average(direction(theta_i, phi_i), self.detector)
         return np.asarray(self.detector.projected_solid_angles() @ np.nan_to_num(means))
 
