@@ -14,12 +14,8 @@ from gonio.detectors import Apertures, HemisphereGrid, Klems
 from gonio.models.distributions import BECKMANN, GGX, Beckmann, Mixture
 from gonio.models.masking import SmithCorrelated
 from gonio.models.microfacet import Microfacet
-from gonio.models.smith_multiple_scattering import (
-    BATCHES,
-    SmithMultipleScattering,
-    projected_area,
-    visible_normal,
-)
+from gonio.models.smith_multiple_scattering import BATCHES, SmithMultipleScattering
+from gonio.models.visible_normals import projected_area, visible_normal
 from gonio.optics import Conductor, Lambertian, Mirror
 from gonio.sphere import angles, direction, half_vector, reflect
 
