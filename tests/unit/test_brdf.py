@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from example_models import MODELS
+from synthetic import TRUTH, external
 
 import gonio
 from gonio.brdf import BRDF
+from gonio.comparison import compare
 from gonio.detectors import Apertures, HemisphereGrid
 from gonio.models import GGX, Microfacet, PoulinFournier, SmithCorrelated
 from gonio.sphere import direction
@@ -117,3 +119,11 @@ def test_what_is_no_measurement_is_exported_like_one(source, tmp_path):
     for theta in (0.0, 30.0, 60.0):
         expected = brdf.in_basis(back.basis).albedo(theta)
         np.testing.assert_allclose(back.albedo(theta), expected, rtol=2e-3)
+
+
+def test_two_measurements_of_one_truth_are_consistent_within_the_noise_of_both():
+    """The noise of the one that stands for the model counts: without it chi² would be 2."""
+    one = external(truth=TRUTH, noise=0.05, seed=1)
+    other = external(truth=TRUTH, noise=0.05, seed=2)
+    table = compare(one, other.as_isotropic()).table
+    assert table["reduced_chi2"].item() == pytest.approx(1.0, abs=0.1)
