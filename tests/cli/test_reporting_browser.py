@@ -18,6 +18,7 @@ import pytest
 from PIL import Image
 from report_pages import Reader, whole_report
 
+pytestmark = pytest.mark.slow
 IN_A_BROWSER = pytest.mark.needs("chromium-driver")
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--enable-unsafe-swiftshader")
 

@@ -19,6 +19,7 @@ from gonio.sphere import direction
 # --- Noise is called noise --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_calibrated_on_pure_noise():
     """In 200 repeats: z is Student's t, 5 % of bins are outside, L1 is what noise adds up to, nothing is found."""
     from scipy.stats import kstest
@@ -40,6 +41,7 @@ def test_calibrated_on_pure_noise():
     assert (column["lobe"] == "consistent").mean() > 0.98
 
 
+@pytest.mark.slow
 def test_many_cells_are_one_family():
     """With 12 incidences and wavelengths a comparison finds something in 5 % of cases, not in half of them."""
     conditions = {"theta_i": (0.0, 30.0, 60.0), "phi_i": (0.0, 90.0), "wavelengths": (450.0, 650.0)}
@@ -360,6 +362,7 @@ def test_without_errors_differences_are_told_but_nothing_of_noise():
     assert "the lobe differs by" in wrong.sentences()[-1]
 
 
+@pytest.mark.slow
 def test_errors_of_a_file_are_calibrated():
     """In 200 repeats z is normal, 5 % of bins are outside, chi² is 1 and L1 what noise adds up to; nothing is found."""
     from scipy.stats import kstest

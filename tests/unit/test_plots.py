@@ -101,6 +101,7 @@ def test_importing_plots_imports_no_plotting_library():
 # --- Figures ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_figure_is_returned_and_nothing_is_written(measurement, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for kind in (*KINDS, plots.albedo):
