@@ -47,7 +47,9 @@ def pytest_runtest_setup(item):
     bare, no_skips = item.config.getoption("bare"), item.config.getoption("no_skips")
     if missing := [package for package in packages if bare or not found(package)]:
         reason = f"needs Debian's {' and '.join(missing)}"
-        pytest.fail(reason, pytrace=False) if no_skips else pytest.skip(reason)
+        if no_skips:
+            pytest.fail(reason, pytrace=False)
+        pytest.skip(reason)
 
 
 @pytest.hookimpl(wrapper=True)
