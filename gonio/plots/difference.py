@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio.plots.hemisphere import draw_bins, map_incidences, map_legend, mark_map, new_maps
+from gonio.plots.hemisphere import draw_bins, map_incidences, map_legend, map_panels, mark_map
 from gonio.plots.style import (
     DIFFERENCES,
     INK,
@@ -16,9 +16,7 @@ from gonio.plots.style import (
     channel_words,
     colour_bar,
     counts,
-    figure_of,
     finished,
-    has_errors,
     headline,
     hits,
     nearest_wavelength,
@@ -54,8 +52,7 @@ def difference(
 
     incidences, choice = map_incidences(measurement, theta_i, phi_i, ax)
     nm = nearest_wavelength(measurement, wavelength)
-    rows = 2 if has_errors(measurement) else 1
-    figure, panels = new_maps(rows, len(incidences)) if ax is None else (figure_of(ax), np.array([[ax]]))
+    figure, panels = map_panels(measurement, len(incidences), ax)
     norms = Normalize(-PERCENT, PERCENT, clip=True), Normalize(-SIGMAS, SIGMAS, clip=True)
     for column, incidence in zip(panels.T, incidences, strict=True):
         here = comparison.lobes.sel(theta_i=incidence.theta, phi_i=incidence.phi, wavelength=nm)

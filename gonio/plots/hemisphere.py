@@ -75,9 +75,8 @@ def hemisphere(
     incidences, choice = map_incidences(measurement, theta_i, phi_i, ax)
     nm = nearest_wavelength(measurement, wavelength)
     maps = [_Map.of(incidence.data, nm) for incidence in incidences]
-    rows = 2 if has_errors(measurement) else 1
     kinds = list(zip(_map_norms(maps), (COLOURS, ERRORS), ("BRDF (sr⁻¹)", "relative standard error (%)"), strict=True))
-    figure, panels = new_maps(rows, len(maps)) if ax is None else (figure_of(ax), np.array([[ax]]))
+    figure, panels = map_panels(measurement, len(maps), ax)
     for column, incidence, shown in zip(panels.T, incidences, maps, strict=True):
         for panel, values, (norm, colours, _) in zip(column, (shown.value, shown.error), kinds, strict=False):
             draw_bins(panel, incidence, measurement.detector, values, norm, colours)
@@ -126,8 +125,14 @@ def on_disc(theta: ArrayLike) -> Floats:
     return np.asarray(np.sqrt(2.0) * np.sin(np.radians(theta) / 2))
 
 
-def new_maps(rows: int, columns: int) -> tuple[Figure, Any]:
-    """A figure and its panels (rows, columns), hemispheres seen from above."""
+def map_panels(measurement: Measurement, columns: int, ax: Axes | None) -> tuple[Figure, Any]:
+    """A figure and its panels (rows, columns), hemispheres seen from above; a lower row only where errors are known.
+
+    Of a given `ax`, its figure and itself alone.
+    """
+    if ax is not None:
+        return figure_of(ax), np.array([[ax]])
+    rows = 2 if has_errors(measurement) else 1
     figure = new_figure(2.75 * columns + 1.6, 6.6 if rows > 1 else 3.9)
     return figure, figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": "polar"})
 
